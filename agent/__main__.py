@@ -19,7 +19,7 @@ def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
         fleet = resolved(fleet)
     agent = Agent(fleet, robot)
     # To all, not only to its neighbours: everybody hears everybody's beacons, and peers do not relay.
-    others = fleet.ids[: fleet.index(robot)] if not fleet.network.routers else ()
+    others = fleet.ids[: fleet.index(robot)] if not fleet.routers else ()
     connect = [fleet.agent_endpoint(other) for other in others]
     return Start(agent, fleet.agent_listens(robot), connect)
 

@@ -14,7 +14,7 @@ from typing import Any
 from agent.common.reader import Reader
 from agent.common.wording import show
 from agent.fleet.fault_checks import check_faults
-from agent.fleet.hosts import PORT_MAX, check_hosts
+from agent.fleet.hosts import PORT_MAX, check_hosts, has_host_routers
 from agent.fleet.orders import check_orders
 from agent.fleet.plants import KINDS
 from agent.fleet.safety import check_safety
@@ -28,7 +28,7 @@ def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reade
     formation = values.get("formation", {})
     if robots is not None:
         _check_ids(robots, reader)
-        _check_ports(values.get("network", {}), len(robots), reader)
+        _check_ports(values.get("network", {}), robots, reader)
     ids = [row.get("id") for row in robots] if robots is not None else []
     if formation:
         _check_edges(formation, ids, reader)
@@ -71,13 +71,15 @@ def _check_ids(robots: Sequence[Mapping[str, Any]], reader: Reader) -> None:
             )
 
 
-def _check_ports(network: Mapping[str, Any], robots: int, reader: Reader) -> None:
-    base_port = network.get("base_port")
-    if base_port is not None and base_port + 2 * robots - 1 > PORT_MAX:
+def _check_ports(network: Mapping[str, Any], robots: Sequence[Mapping[str, Any]], reader: Reader) -> None:
+    base_port, has_routers = network.get("base_port"), has_host_routers(network, robots)
+    ports = 2 * len(robots) + has_routers
+    if base_port is not None and base_port + ports - 1 > PORT_MAX:
         reader.add(
             "network.base_port",
-            f"{robots} robots take ports {base_port} to {base_port + 2 * robots - 1}, which must not pass "
-            f"{PORT_MAX} (the system uses those above): must be at most {PORT_MAX + 1 - 2 * robots}",
+            f"{len(robots)} robots{' and a router' * has_routers} take ports {base_port} to "
+            f"{base_port + ports - 1}, which must not pass {PORT_MAX} (the system uses those above): must be "
+            f"at most {PORT_MAX + 1 - ports}",
         )
 
 

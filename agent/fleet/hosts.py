@@ -125,14 +125,17 @@ class NetworkSection:
         None,
         '`"mesh"`: every robot is linked to every other one; nobody is in the middle. `"routed"`: each is '
         "linked to a router, which passes on to each what it listens to. Left out: routed where `routers` "
-        f"are named, and with `handfast run` for more than {MESH_ROBOTS_MAX} robots; else a mesh.",
+        f"are named, and for more than {MESH_ROBOTS_MAX} robots; else a mesh.",
     )
     routers: tuple[str, ...] = setting(
         (),
-        "Zenoh routers, as `HOST:PORT`. With them robots do not connect to each other but to the first of "
-        "these that answers: for large fleets, and across subnets (`handfast router`, or a zenohd). "
-        "`handfast run` starts as many on this machine.",
-        example='["192.168.1.2:7447"]',
+        "Routers. With them robots do not connect to each other but to the first of these that answers: for "
+        "large fleets, and across subnets. The NAME of a `[host.NAME]`, with robots or without: `handfast "
+        "up` starts one there, on the first port after those of the robots. Or `HOST:PORT`: there you have "
+        "started one (`handfast router`, or a zenohd). `handfast run` starts as many on this machine. Left "
+        "out in a fleet that is routed: one on each of the first two hosts that have robots; one with "
+        "`handfast run`, where there are no hosts.",
+        example='["rover1", "rover2"]',
     )
     admission: Literal["proxy", "off"] = setting(
         "off",
@@ -170,9 +173,9 @@ def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
     """Adds to `reader` what is wrong with hosts, who is on them, and routers."""
     _check_operators(values.get("fleet", {}).get("name"), values.get("network", {}).get("operators"), reader)
     network = values.get("network", {})
-    _check_routers(network.get("routers") or (), reader)
     hosts, robots = values.get("hosts"), values.get("robots")
-    _check_topology(network, any(row.get("host") is not None for row in robots or ()), reader)
+    _check_routers(network.get("routers") or (), hosts, reader)
+    _check_topology(network, reader)
     if hosts is None or robots is None:
         return  # they have problems of their own
     _check_addresses(hosts, reader)
@@ -252,28 +255,49 @@ def _check_operators(fleet: str | None, operators: Sequence[str | None] | None, 
             reader.add(f"network.operators[{number}]", str(error))
 
 
-def _check_topology(network: Mapping[str, Any], has_hosts: bool, reader: Reader) -> None:
-    topology, routers = network.get("topology"), network.get("routers")
-    if topology == "mesh" and routers:
+def _check_topology(network: Mapping[str, Any], reader: Reader) -> None:
+    if network.get("topology") == "mesh" and network.get("routers"):
         reader.add("network.topology", "is a mesh, which has no routers: leave out topology or routers")
-    elif topology == "routed" and has_hosts and not routers:
-        reader.add(
-            "network.routers", 'is missing: topology = "routed" needs one, such as ["192.168.1.2:7447"]'
-        )
 
 
-def _check_routers(routers: Sequence[str | None], reader: Reader) -> None:
+def has_host_routers(network: Mapping[str, Any], robots: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a fleet of these tables has routers on hosts of its own (`agent.fleet.routers`)."""
+    if routers := network.get("routers"):
+        return any(router is not None and names_host(router) for router in routers)
+    topology = network.get("topology")
+    is_routed = topology == "routed" or (topology is None and len(robots) > MESH_ROBOTS_MAX)
+    return is_routed and any(row.get("host") is not None for row in robots)
+
+
+def names_host(router: str) -> bool:
+    """Whether an entry of `network.routers` is the name of one of the fleet's hosts."""
+    return ":" not in router
+
+
+def _check_routers(
+    routers: Sequence[str | None], hosts: Sequence[Mapping[str, Any]] | None, reader: Reader
+) -> None:
+    names = None if hosts is None else [host.get("name") for host in hosts]
     for number, router in enumerate(routers, 1):
         if router is None:
             continue
+        place = f"network.routers[{number}]"
+        if routers.index(router) + 1 < number:
+            reader.add(place, f"{show(router)} is network.routers[{routers.index(router) + 1}] already")
+            continue
         found = _ROUTER.fullmatch(router)
-        if found is None or int(found[2]) > 65535:
-            reader.add(
-                f"network.routers[{number}]",
-                f'must be HOST:PORT, such as "192.168.1.2:7447", got {show(router)}',
-            )
+        if names_host(router):
+            if names is not None and None not in names and router not in names:
+                there_are = f"hosts are {', '.join(map(str, names))}" if names else "there is none"
+                reader.add(
+                    place,
+                    f"there is no [host.{router}]; {there_are}. A router elsewhere is HOST:PORT, such as "
+                    '"192.168.1.2:7447"',
+                )
+        elif found is None or int(found[2]) > 65535:
+            reader.add(place, f'must be HOST:PORT, such as "192.168.1.2:7447", got {show(router)}')
         elif int(found[2]) > PORT_MAX:
             reader.add(
-                f"network.routers[{number}]",
+                place,
                 f"port {found[2]} must be at most {PORT_MAX}: Linux gives those above to outgoing links",
             )

@@ -26,6 +26,7 @@ from agent.fleet.hosts import (
     RecordingSection,
 )
 from agent.fleet.orders import OrderSection
+from agent.fleet.routers import RouterPlace, routers_of
 from agent.fleet.safety import (
     BEACONS_HZ,
     BEACONS_MANY,
@@ -231,13 +232,26 @@ class Fleet:
 
     @property
     def is_routed(self) -> bool:
-        """Whether robots are to be linked to routers instead of to each other. Where the file names no
-        routers, only who runs the whole fleet can start some."""
+        """Whether robots are to be linked to routers instead of to each other."""
         network = self.network
         if network.topology is not None:
             return network.topology == "routed"
-        is_large = len(self.robots) > MESH_ROBOTS_MAX and not any(robot.host for robot in self.robots)
-        return bool(network.routers) or is_large
+        return bool(network.routers) or len(self.robots) > MESH_ROBOTS_MAX
+
+    @property
+    def routers(self) -> tuple[RouterPlace, ...]:
+        """The routers that robots are linked to, in the order in which they try them; none in a mesh, nor
+        where only who runs the whole fleet can start some (`deploy.processes.placement`)."""
+        return routers_of(self.network, self.hosts, self.robots) if self.is_routed else ()
+
+    @property
+    def router_endpoints(self) -> tuple[str, ...]:
+        """Where its routers are reached, as Zenoh writes it."""
+        return tuple(f"{self._scheme}/{router.where}" for router in self.routers)
+
+    def router_on(self, host: str) -> RouterPlace | None:
+        """The router that `handfast up` starts on a host, None where there is none."""
+        return next((router for router in self.routers if router.host == host), None)
 
     def host_of(self, robot_id: int) -> HostSection | None:
         """The computer of a robot, None where it has none. `FleetError` when there is no such robot."""
@@ -284,6 +298,15 @@ class Fleet:
             for which in (0, 1)
         )
 
+    def router_doors(self, number: int) -> tuple[tuple[str, str], ...]:
+        """As `admission_doors`, of the proxy before a router on a host."""
+        for router in self.routers:
+            host = next((each for each in self.hosts if each.name == router.host), None)
+            if router.number == number and host is not None and self.has_admission:
+                outside = f"{host.listen or host.address or host.name}:{router.where.rpartition(':')[2]}"
+                return ((f"{self._scheme}/{outside}", f"{self._scheme}/{router.listens}"),)
+        return ()
+
     @property
     def has_admission(self) -> bool:
         """Whether a proxy stands before each robot's ports."""
@@ -313,7 +336,11 @@ class Fleet:
         host = self.host_of(robot_id)
         if address is None:
             address = self.network.address if host is None else host.address or host.name
-        return f"{'tls' if self.is_secured else 'tcp'}/{address}:{port}"
+        return f"{self._scheme}/{address}:{port}"
+
+    @property
+    def _scheme(self) -> str:
+        return "tls" if self.is_secured else "tcp"
 
 
 class FormationError(FleetError):

@@ -38,6 +38,7 @@ from agent.runtime.process import (
 )
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.runtime.version import handfast_version
+from agent.security.identity import of_robot
 
 POLL_S: Final = 0.05
 """Time between two looks at the bus, s."""
@@ -179,7 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
     robot, path = options.robot, options.folder
-    log = logger(robot, "recorder")
+    log = logger(f"robot {robot}", "recorder")
     try:
         fleet = load_fleet(options.fleet)
         whose = about(fleet, read_text(options.fleet, "fleet file"), robot)
@@ -189,7 +190,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return shutdown.asked
 
         with SystemdNotifier() as systemd:
-            wait_until_valid(fleet, robot, options.keys, asked, systemd, log)
+            identity = of_robot(fleet.fleet.name, robot) if fleet.is_secured else None
+            wait_until_valid(identity, options.keys, asked, systemd, log)
             systemd.ready()  # it does its work: a disk that is full must not look like a start that fails
             folder = _open(path, fleet.recording.max_mb * 1_000_000, shutdown, systemd, log)
             if folder is None:

@@ -391,14 +391,23 @@ class Router:
     Args:
         listen: endpoints that clients connect to.
         connect: endpoints of other routers.
-        security: as of a `Bus`.
+        security, link_timeout_s: as of a `Bus`.
 
     Raises:
         BusError: an endpoint cannot be listened on.
     """
 
-    def __init__(self, listen: Sequence[str], connect: Sequence[str], security: Security | None) -> None:
+    def __init__(
+        self,
+        listen: Sequence[str],
+        connect: Sequence[str],
+        security: Security | None,
+        link_timeout_s: float = LINK_TIMEOUT_S,
+    ) -> None:
         self._session = _open("router", listen, connect, security)
+        self._sockets, self._lingering = TcpSockets(), Lingering()
+        self._watch = LinkWatch(listen, connect, link_timeout_s, _open_links)
+        self._look_due_ns = 0
 
     def __enter__(self) -> Router:
         return self
@@ -407,6 +416,17 @@ class Router:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         _close(self._session)
+
+    def look(self, now_ns: int) -> list[str]:
+        """To be called often: looks at its links now and then, as a `Bus` does; which were deaf, see
+        `Bus.were_deaf`."""
+        found = self._sockets.look() if now_ns >= self._look_due_ns else None
+        if found is None:
+            return []
+        self._lingering.end(found)
+        deaf = self._watch.look(found, now_ns)
+        self._look_due_ns = now_ns + self._watch.period_ns
+        return deaf
 
     def watch(self, key: str) -> Presence:
         """See `Bus.watch`."""

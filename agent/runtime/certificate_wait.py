@@ -12,10 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.model import Fleet
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotValidNowError, load
-from agent.security.identity import of_robot
+from agent.security.identity import Identity
 
 LOOK_S: Final = 1.0
 """How often the certificate is looked at again."""
@@ -26,23 +25,23 @@ WAITS: Final = "waiting until it is renewed (`handfast up`), or the clock is set
 
 
 def wait_until_valid(
-    fleet: Fleet,
-    robot: int,
-    folder: str | None,
+    identity: Identity | None,
+    folder: str | Path | None,
     asked_to_end: Callable[[], bool],
     service: SystemdNotifier,
     log: Callable[[str], None],
 ) -> None:
-    """Returns at once, unless the robot's certificate is good but for the time; then when it is, or when the
-    process is asked to end. Whatever else is wrong with it is not looked at here.
+    """Returns at once, unless the certificate of `identity` is good but for the time; then when it is, or
+    when the process is asked to end. Whatever else is wrong with it is not looked at here.
 
     Args:
-        folder: with the robot's key and certificates; None for none.
+        identity: None in a fleet that is not secured.
+        folder: with its key and certificates; None for none.
     """
-    if not fleet.is_secured or folder is None:
+    if identity is None or folder is None:
         return
     say_due_s: float | None = None
-    while (why := _not_valid_now(fleet, robot, Path(folder))) and not asked_to_end():
+    while (why := _not_valid_now(identity, Path(folder))) and not asked_to_end():
         now_s = time.monotonic()
         if say_due_s is None:
             service.waits(f"{why}: waiting")
@@ -56,9 +55,9 @@ def wait_until_valid(
         log("its certificate is valid now")
 
 
-def _not_valid_now(fleet: Fleet, robot: int, folder: Path) -> str:
+def _not_valid_now(identity: Identity, folder: Path) -> str:
     try:
-        load(folder, of_robot(fleet.fleet.name, robot), time.time())
+        load(folder, identity, time.time())
     except NotValidNowError as error:
         return str(error)
     except CredentialsError:

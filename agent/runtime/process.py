@@ -218,8 +218,8 @@ def look_at_links(node: Node, bus: Bus, now_ns: int, names: Mapping[str, str], l
 
 def names_of(fleet: Fleet, robot: int) -> dict[str, str]:
     """Who is at which endpoint, as texts of a process of `robot` have it."""
-    scheme = "tls" if fleet.is_secured else "tcp"
-    names = {f"{scheme}/{router}": f"{A_ROUTER}{router}" for router in fleet.network.routers}
+    routers = zip(fleet.router_endpoints, fleet.routers, strict=True)
+    names = {endpoint: f"{A_ROUTER}{router.where}" for endpoint, router in routers}
     for other in fleet.ids:
         names[fleet.agent_endpoint(other)] = f"robot {other}"
         names[fleet.plant_endpoint(other)] = f"robot {other}'s plant"
@@ -260,12 +260,12 @@ def robot_arguments(program: str, description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def logger(robot: int, role: str) -> Log:
+def logger(whose: str, role: str) -> Log:
     """Writes lines of a process's log. Others' words may be in them: these move no terminal's cursor."""
 
     def log(text: str) -> None:
         lines = "\n".join(map(printable, text.split("\n")))
-        print(f"robot {robot} {role}: {lines}", file=sys.stderr, flush=True)
+        print(f"{whose} {role}: {lines}", file=sys.stderr, flush=True)
 
     return log
 
@@ -334,7 +334,8 @@ def _run(
 
     fleet = fleet_of(options.fleet, options.overrides, options.law)
     # Before the wall clock is read for good: it may be set meanwhile.
-    wait_until_valid(fleet, options.robot, options.keys, asked, service, log)
+    identity = of_robot(fleet.fleet.name, options.robot) if fleet.is_secured else None
+    wait_until_valid(identity, options.keys, asked, service, log)
     if shutdown.asked:
         return False
     clock = RealClock(*FaultPlan(fleet).clock(options.robot))
@@ -391,7 +392,7 @@ def main(
     parser.add_argument("--orders", metavar="DIR", help="folder in which operators' orders outlive it")
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
-    log = logger(options.robot, role)
+    log = logger(f"robot {options.robot}", role)
     left = False
     try:
         with SystemdNotifier() as service:

@@ -1,7 +1,7 @@
-"""``python -m agent.runtime.router --fleet FILE --number K``: the K-th of a fleet's ``[network] routers``.
+"""``python -m agent.runtime.router --fleet FILE --number K``: the K-th router of a fleet.
 
-It passes on what its clients say to those of them that listen, and links to the other routers of the file.
-`handfast router` serves by the same loop.
+It passes on what its clients say to those of them that listen, and links to the other routers. `handfast
+router` serves by the same loop.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from agent.messages.key_expressions import alive, robot_of_alive
 from agent.runtime.bus import BusError, Router, init_log
-from agent.runtime.process import Log, Shutdown
+from agent.runtime.certificate_wait import wait_until_valid
+from agent.runtime.process import DIALLED, Log, Shutdown
 from agent.runtime.sealed_bus import secured
 from agent.runtime.systemd_notify import SystemdNotifier
-from agent.runtime.tcp_linger import Lingering
 from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
 from agent.security.credentials import CredentialsError, load
-from agent.security.identity import of_router
+from agent.security.identity import MAIN, of_router
 from agent.security.refusals import FILTER
 
 POLL_S: Final = 0.1
@@ -40,8 +40,7 @@ _LEFT: Final[list[ExitStack]] = []
 def others(fleet: Fleet, listen: str) -> list[str]:
     """Endpoints of the routers that the one on `listen` links to: of any two, the later one in the file. One
     that listens on another address than the file has, such as 0.0.0.0, links to all but itself."""
-    scheme = "tls" if fleet.is_secured else "tcp"
-    endpoints = [f"{scheme}/{router}" for router in fleet.network.routers]
+    endpoints = list(fleet.router_endpoints)
     if listen in endpoints:
         return endpoints[: endpoints.index(listen)]
     port = listen.rpartition(":")[2]
@@ -59,23 +58,25 @@ def _is_here(endpoint: str) -> bool:
     return False
 
 
-def security_of(fleet: Fleet, folder: Path) -> Security | None:
-    """How the links of a router are secured whose key is in `folder`; None for not at all.
+def security_of(fleet: Fleet, folder: Path, name: str = MAIN) -> Security | None:
+    """How the links of the router `name` are secured whose key is in `folder`; None for not at all.
 
     Raises:
         agent.security.credentials.CredentialsError: the files are not there, or not valid.
     """
     if not fleet.is_secured:
         return None
-    return secured(fleet, load(folder, of_router(fleet.fleet.name), time.time()))
+    return secured(fleet, load(folder, of_router(fleet.fleet.name, name), time.time()))
 
 
 def serve(
     fleet: Fleet,
     listen: str,
+    connect: Sequence[str],
     security: Security | None,
     asked: Callable[[], bool],
     log: Log,
+    service: SystemdNotifier,
     *,
     talks: bool = True,
     leaves: bool = False,
@@ -83,6 +84,7 @@ def serve(
     """Is a router on `listen` until it is `asked` to end.
 
     Args:
+        connect: other routers that it links to.
         talks: says who comes and goes.
         leaves: closes no link: the process ends outright after this, and the kernel closes them at once.
 
@@ -92,20 +94,22 @@ def serve(
     with ExitStack() as stack:
         zenoh_log = stack.enter_context(ZenohLog())
         init_log(FILTER)
-        router = stack.enter_context(Router([listen], others(fleet, listen), security))
-        service = stack.enter_context(SystemdNotifier())
-        log(f"router of {fleet.fleet.name} on {listen}{', secured' if security else ', not secured'}")
-        lingering = Lingering()
+        router = stack.enter_context(Router([listen], connect, security, fleet.network.link_timeout_s))
+        about = f"router of {fleet.fleet.name} on {listen}{', secured' if security else ', not secured'}"
+        log(about)
         presence = router.watch(alive(fleet.fleet.name, "*", "*")) if talks else None
         service.ready()
+        service.says(about)
         while not asked():
+            now_ns = time.monotonic_ns()
             for key, here in presence.update() if presence is not None else ():
                 robot, role = robot_of_alive(key) or (0, "")
                 log(f"robot {robot}'s {role} {'came' if here else 'is gone'}")
-            for line in zenoh_log.lines(time.monotonic_ns()):
+            for line in zenoh_log.lines(now_ns):
                 log(line)
-            lingering.end()
-            service.lives(time.monotonic_ns())
+            for endpoint in router.look(now_ns):
+                log(f"was deaf to {endpoint or DIALLED}: link opened anew")
+            service.lives(now_ns)
             time.sleep(POLL_S)
         service.stopping()
         if leaves:
@@ -136,18 +140,22 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         fleet = load_fleet(options.fleet)
-        routers = fleet.network.routers
+        routers = fleet.routers
         if not 1 <= options.number <= len(routers):
-            log(f"there is no router {options.number}: network.routers names {len(routers) or 'none'}")
+            log(f"there is no router {options.number}: the fleet has {len(routers) or 'none'}")
             return BAD_INPUT
         if fleet.is_secured and options.keys is None:
             log("this fleet is secured: give the folder of the router's key and certificates, --keys DIR")
             return BAD_INPUT
-        scheme = "tls" if fleet.is_secured else "tcp"
-        security = security_of(fleet, options.keys) if fleet.is_secured else None
-        serve(
-            fleet, f"{scheme}/{routers[options.number - 1]}", security, asked, log, talks=False, leaves=True
-        )
+        own = routers[options.number - 1]
+        listen = f"{'tls' if fleet.is_secured else 'tcp'}/{own.listens}"
+        identity = of_router(fleet.fleet.name, own.identity_name) if fleet.is_secured else None
+        with SystemdNotifier() as service:
+            wait_until_valid(identity, options.keys, asked, service, log)
+            if not shutdown.asked:
+                security = None if identity is None else security_of(fleet, options.keys, identity.name)
+                earlier = fleet.router_endpoints[: options.number - 1]
+                serve(fleet, listen, earlier, security, asked, log, service, talks=False, leaves=True)
     except BusError as error:
         log(str(error))
         return FAILED

@@ -18,7 +18,7 @@ from agent.runtime.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
 from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
 from agent.security.credentials import Credentials, load, load_whenever
-from agent.security.identity import MAIN, Identity
+from agent.security.identity import Identity
 from agent.security.order_gate import OrderGate
 from agent.security.refusals import FILTER
 from agent.security.sealed_order import Opener, Sealer
@@ -35,7 +35,7 @@ def secured(fleet: Fleet, found: Credentials) -> Security:
         str(found.files.key),
         fleet.ids,
         fleet.network.operators,
-        (MAIN,) if fleet.network.routers else (),
+        tuple(dict.fromkeys(router.identity_name for router in fleet.routers)),
     )
 
 
@@ -157,8 +157,7 @@ def bus_for(
         through_routers: False for a process that speaks only with its own robot's.
         keep_seals, whenever: as of a `SealedBus`.
     """
-    scheme = "tls" if fleet.is_secured else "tcp"
-    routers = [f"{scheme}/{router}" for router in fleet.network.routers] if through_routers else []
+    routers = fleet.router_endpoints if through_routers else ()
     # Robots find each other again within a second; an operator may be far away, and has the time.
     link_timeout_s = fleet.network.link_timeout_s if listen else LINK_TIMEOUT_S
     if identity is None or folder is None:

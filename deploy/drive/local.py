@@ -100,7 +100,7 @@ class LocalRun:
         self._processes.start_routers()
         with ExitStack() as stack:
             bus = None
-            if self._fleet.network.routers:  # before so many others want it
+            if self._fleet.routers:  # before so many others want it
                 bus = stack.enter_context(operator_bus(self._fleet))
             self._processes.start()
             for vehicle in self._vehicles:
@@ -115,7 +115,8 @@ class LocalRun:
         )
 
     def _through(self) -> str:
-        routers = self._fleet.network.routers
+        routers = self._fleet.routers
         if not routers:
             return ""
-        return f", through {f'{len(routers)} routers' if len(routers) > 1 else 'a router'} on {routers[0]}"
+        count = f"{len(routers)} routers" if len(routers) > 1 else "a router"
+        return f", through {count} on {routers[0].where}"

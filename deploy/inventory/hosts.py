@@ -19,13 +19,13 @@ ASKED_AT_ONCE: Final = 16
 
 
 def located(fleet: Fleet) -> Fleet:
-    """`fleet` with the address of every host that has robots; what it leaves out ssh's configuration knows.
+    """`fleet` with the address of every host that it uses; what it leaves out ssh's configuration knows.
 
     Raises:
         InputError: that says nothing, or two of them have one address: two sets of processes would fight
             for its files.
     """
-    used = {robot.host for robot in fleet.robots}
+    used = {host.name for host in used_hosts(fleet)}
     unknown = [host for host in fleet.hosts if host.name in used and host.address is None]
     found = _addresses(unknown) if unknown else {}
     hosts = []
@@ -58,15 +58,14 @@ def _addresses(hosts: Sequence[HostSection]) -> dict[str, str]:
 
 
 def hosts_of(fleet: Fleet, source: str, only: Sequence[str] = ()) -> list[HostSection]:
-    """The hosts that have robots, in the file's order; of these, those that are named in `only`.
+    """The hosts that the fleet uses, in the file's order; of these, those that are named in `only`.
 
     Raises:
         InputError: there is none of that name.
         FleetError: the fleet is not for several machines.
     """
-    used = {robot.host for robot in fleet.robots}
-    hosts = [host for host in fleet.hosts if host.name in used]
-    if not hosts:
+    hosts = used_hosts(fleet)
+    if not any(robot.host for robot in fleet.robots):
         message = (
             'no robot has a host: write [host.NAME] for each computer and host = "NAME" in each [[robot]], '
             "or drive it on this machine, `handfast run`"
@@ -74,11 +73,18 @@ def hosts_of(fleet: Fleet, source: str, only: Sequence[str] = ()) -> list[HostSe
         raise FleetError(source, [Problem("", message)])
     strangers = sorted(set(only) - {host.name for host in hosts})
     if strangers:
+        what = "robots or a router" if any(router.host for router in fleet.routers) else "robots"
         raise InputError(
-            f"there is no host {some(strangers)} with robots in {fleet.fleet.name}; there are: "
+            f"there is no host {some(strangers)} with {what} in {fleet.fleet.name}; there are: "
             f"{some(host.name for host in hosts)}"
         )
     return [host for host in hosts if not only or host.name in only]
+
+
+def used_hosts(fleet: Fleet) -> list[HostSection]:
+    """The hosts on which robots or routers run, in the file's order."""
+    used = {robot.host for robot in fleet.robots} | {router.host for router in fleet.routers}
+    return [host for host in fleet.hosts if host.name in used]
 
 
 def robots_on(fleet: Fleet, host: HostSection) -> tuple[int, ...]:

@@ -79,7 +79,7 @@ class Processes:
             return
         self._has_begun = True
         fleet = self._fleet
-        routers = fleet.network.routers
+        routers = [router.where for router in fleet.routers]
         for number in range(1, len(routers) + 1):
             arguments = ["--fleet", str(self._fleet_file), "--number", str(number)]
             log = self._log(f"router-{number}.log")

@@ -104,7 +104,7 @@ class Placed(NamedTuple):
 
 def place(fleet: Fleet) -> Placed:
     """`fleet` on this machine's loopback, on ports that are free, in its topology: with as many routers as it
-    names, or one where it names none and needs one.
+    has, or one where it has none and needs one.
 
     Where a robot's connection is "simulator", the placed fleet names the port of a simulated rover instead,
     so a bridge knows of no simulators.
@@ -114,7 +114,7 @@ def place(fleet: Fleet) -> Placed:
     """
     simulated = [robot.id for robot in fleet.robots if robot.is_simulated]
     of_processes = 2 * len(fleet.robots)
-    of_routers = max(1, len(fleet.network.routers)) if fleet.is_routed else 0
+    of_routers = max(1, len(fleet.routers)) if fleet.is_routed else 0
     ports = Reservation(ADDRESS, fleet.network.base_port, of_processes + len(simulated) + of_routers)
     numbers = {robot: ports.base + of_processes + k for k, robot in enumerate(simulated)}
     first = ports.base + of_processes + len(simulated)

@@ -38,10 +38,9 @@ def operator_bus(fleet: Fleet, *, whenever: bool = False) -> OperatorBus:
         agent.runtime.bus.BusError: the bus cannot be opened.
         InputError: the fleet is secured, and this operator has no certificate that is valid.
     """
-    routers = fleet.network.routers
     connect = [
         fleet.agent_endpoint(robot) if role == "agent" else fleet.plant_endpoint(robot)
-        for robot, role in (receivers(fleet) if not routers else ())
+        for robot, role in (() if fleet.routers else receivers(fleet))
     ]
     if not fleet.is_secured:
         return bus_for(fleet, None, None, _log, listen=[], connect=connect)

@@ -45,17 +45,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _router(options: argparse.Namespace) -> int:
     from agent.runtime.bus import settings_of
     from agent.runtime.router import others, serve
+    from agent.runtime.systemd_notify import SystemdNotifier
 
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
         listen = _listen(options, fleet)
         security = _security(options, fleet)
+        connect = others(fleet, listen)
         if options.print_config:
-            settings = settings_of("router", [listen], others(fleet, listen), security)
+            settings = settings_of("router", [listen], connect, security)
             print(json.dumps(_nested(settings), indent=2))
             return PASSED
-        serve(fleet, listen, security, lambda: interrupt.count > 0, _say)
+        with SystemdNotifier() as service:
+            serve(fleet, listen, connect, security, lambda: interrupt.count > 0, _say, service)
     return INTERRUPTED
 
 
@@ -64,12 +67,17 @@ def _say(text: str) -> None:
 
 
 def _listen(options: argparse.Namespace, fleet: Fleet) -> str:
-    where = options.listen or next(iter(fleet.network.routers), None)
-    if where is None:
-        raise InputError(
-            f"{fleet_path(options.fleet)}: network.routers names none: robots would not look for it. Write "
-            'for example [network] routers = ["192.168.1.2:7447"]'
+    elsewhere = [router.where for router in fleet.routers if router.host is None]
+    if not elsewhere:
+        on_hosts = [str(router.host) for router in fleet.routers]
+        why = (
+            f"`handfast up` starts its routers, on {' and '.join(on_hosts)}" if on_hosts else "it names none"
         )
+        raise InputError(
+            f"{fleet_path(options.fleet)}: robots would not look for it in network.routers: {why}. Write for "
+            'example [network] routers = ["192.168.1.2:7447"]'
+        )
+    where = options.listen or elsewhere[0]
     host, _, port = where.rpartition(":")
     if not host or not port.isdecimal():
         raise InputError(f"--listen must be HOST:PORT, such as 0.0.0.0:7447, got {where!r}")

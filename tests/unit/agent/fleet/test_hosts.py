@@ -202,12 +202,26 @@ def test_a_field_of_a_host_can_be_overridden_by_its_name():
             RIGHT,
             "host.again.address: host left has the address 10.0.0.1 already: robots may share a host by its",
         ),
-        (HOSTS + ROUTERS % "b", LEFT, RIGHT, "network.routers[1]: must be HOST:PORT, such as"),
+        (HOSTS + ROUTERS % "b:", LEFT, RIGHT, "network.routers[1]: must be HOST:PORT, such as"),
         (
-            HOSTS + '[network]\ntopology = "routed"',
+            HOSTS + ROUTERS % "b",
             LEFT,
             RIGHT,
-            'network.routers: is missing: topology = "routed" needs one, such as ["192.168.1.2:7447"]',
+            "network.routers[1]: there is no [host.b]; hosts are left, right. A router elsewhere is",
+        ),
+        (ROUTERS % "b", "", "", "network.routers[1]: there is no [host.b]; there is none. A router"),
+        (
+            HOSTS + ROUTERS % 'left", "left',
+            LEFT,
+            RIGHT,
+            'network.routers[2]: "left" is network.routers[1] already',
+        ),
+        (
+            HOSTS + ROUTERS % "left" + "\nbase_port = 32764",
+            LEFT,
+            RIGHT,
+            "network.base_port: 2 robots and a router take ports 32764 to 32768, which must not pass "
+            "32767 (the system uses those above): must be at most 32763",
         ),
         (
             HOSTS + ROUTERS % "b:7447" + '\ntopology = "mesh"',

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
 from agent.runtime import certificate_wait
 from agent.runtime.certificate_wait import SAY_S, WAITS, wait_until_valid
 from agent.runtime.systemd_notify import SystemdNotifier
@@ -51,21 +49,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return made
 
 
-@pytest.fixture
-def fleet() -> Fleet:
-    text = f"""
-    robot = [{{ id = 1, x_m = 0, y_m = 0 }}, {{ id = 2, x_m = 2, y_m = 0 }}]
-    fleet = {{ name = "{FLEET}" }}
-    formation = {{ edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }}
-    network = {{ security = "mtls" }}
-    """
-    return parse_fleet(text, source="two")
-
-
-def waits(fleet: Fleet, folder: Path | None, ends: Callable[[], bool] = lambda: False) -> list[str]:
+def waits(folder: Path | None, ends: Callable[[], bool] = lambda: False) -> list[str]:
     said: list[str] = []
     with SystemdNotifier({}) as service:
-        wait_until_valid(fleet, 1, None if folder is None else str(folder), ends, service, said.append)
+        wait_until_valid(ME, folder, ends, service, said.append)
     return said
 
 
@@ -74,26 +61,24 @@ def made(folder: Path, now_s: float) -> None:
         credentials(by, folder / "keys", ME, now_s=now_s)
 
 
-def test_a_good_one_keeps_nobody(clock: Clock, fleet: Fleet, tmp_path: Path) -> None:
+def test_a_good_one_keeps_nobody(clock: Clock, tmp_path: Path) -> None:
     made(tmp_path, NOW_S)
-    assert waits(fleet, tmp_path / "keys") == []
+    assert waits(tmp_path / "keys") == []
     assert clock.slept_s == 0
 
 
-def test_an_expired_one_is_waited_for_until_it_is_renewed(clock: Clock, fleet: Fleet, tmp_path: Path) -> None:
+def test_an_expired_one_is_waited_for_until_it_is_renewed(clock: Clock, tmp_path: Path) -> None:
     made(tmp_path, NOW_S)
     clock.wall_s = EXPIRED_S
     clock.at[2.5 * SAY_S] = lambda: made(tmp_path, clock.wall_s)
-    said = waits(fleet, tmp_path / "keys")
+    said = waits(tmp_path / "keys")
     assert len(said) == 4, "once a minute, and when it is over"
     assert all(line.endswith(f"the certificate of robot 1 expired 3 days ago; {WAITS}") for line in said[:3])
     assert said[3] == "its certificate is valid now"
     assert 2.5 * SAY_S <= clock.slept_s < 2.5 * SAY_S + 2.0
 
 
-def test_one_that_is_not_valid_yet_is_waited_for_until_the_clock_is_set(
-    clock: Clock, fleet: Fleet, tmp_path: Path
-) -> None:
+def test_one_that_is_not_valid_yet_is_waited_for_until_the_clock_is_set(clock: Clock, tmp_path: Path) -> None:
     made(tmp_path, NOW_S)
     clock.wall_s = 1000.0
 
@@ -101,21 +86,19 @@ def test_one_that_is_not_valid_yet_is_waited_for_until_the_clock_is_set(
         clock.wall_s = NOW_S + DAY_S
 
     clock.at[5.0] = set_clock
-    said = waits(fleet, tmp_path / "keys")
+    said = waits(tmp_path / "keys")
     assert "not valid yet" in said[0]
     assert said[1:] == ["its certificate is valid now"]
 
 
-def test_who_is_asked_to_end_does(clock: Clock, fleet: Fleet, tmp_path: Path) -> None:
+def test_who_is_asked_to_end_does(clock: Clock, tmp_path: Path) -> None:
     made(tmp_path, NOW_S)
     clock.wall_s = EXPIRED_S
-    assert len(waits(fleet, tmp_path / "keys", lambda: clock.slept_s > 10.0)) == 1
+    assert len(waits(tmp_path / "keys", lambda: clock.slept_s > 10.0)) == 1
     assert 10.0 < clock.slept_s < 11.0
 
 
 @pytest.mark.parametrize("folder", [None, "keys"])
-def test_what_time_does_not_mend_is_not_waited_for(
-    clock: Clock, fleet: Fleet, tmp_path: Path, folder: str | None
-) -> None:
-    assert waits(fleet, None if folder is None else tmp_path / folder) == []
+def test_what_time_does_not_mend_is_not_waited_for(clock: Clock, tmp_path: Path, folder: str | None) -> None:
+    assert waits(None if folder is None else tmp_path / folder) == []
     assert clock.slept_s == 0

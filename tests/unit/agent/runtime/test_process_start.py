@@ -107,7 +107,7 @@ def test_who_waits_for_a_router_lives(
 
 
 def test_a_log_holds_nothing_that_moves_a_cursor(capsys: pytest.CaptureFixture[str]) -> None:
-    process.logger(3, "agent")("stopped: \x1b[2Jhere\r\nand there")
+    process.logger("robot 3", "agent")("stopped: \x1b[2Jhere\r\nand there")
     assert capsys.readouterr().err == f"robot 3 agent: stopped: \\x1b[2Jhere\\r{os.linesep}and there\n"
 
 
