@@ -1,6 +1,8 @@
-"""``python -m agent.security``: robots' part in getting their certificates, called over ssh.
+"""``python -m agent.security``: a host's part in getting the certificates of its robots and its router,
+called over ssh.
 
-    request   says as JSON whether a certificate is needed, and then the request for it; a line for each robot
+    request   says as JSON whether a certificate is needed, and then the request for it; a line for each
+              robot, then for the router
     store     takes the certificate and the authority's from standard input
 
 No secret passes through it: the private key is made here and stays.
@@ -19,7 +21,7 @@ from typing import Final
 from agent.common.exit import BAD_INPUT, PASSED
 from agent.security.certificates import PEM_BYTES_MAX
 from agent.security.credentials import CredentialsError, authority_of, make_request, store, wanting
-from agent.security.identity import Identity, IdentityError, addresses, of_robot
+from agent.security.identity import Identity, IdentityError, addresses, of_robot, of_router
 from agent.security.private_files import reason
 
 _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
@@ -42,9 +44,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     for command in (request, take):
         command.add_argument("--folder", required=True, metavar="DIR", help="where the credentials are")
         command.add_argument("--fleet", required=True, metavar="NAME", help="name of the fleet")
-    several = "id of the robot; may be given several times"
-    request.add_argument("--robot", required=True, type=int, action="append", metavar="ID", help=several)
-    take.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot")
+        command.add_argument("--router", metavar="NAME", help="name of the router")
+    several = "id of a robot; may be given several times"
+    request.add_argument("--robot", type=int, action="append", default=[], metavar="ID", help=several)
+    take.add_argument("--robot", type=int, metavar="ID", help="id of the robot")
     options = parser.parse_args(argv)
     try:
         answers = options.command(options, Path(options.folder).expanduser())
@@ -65,6 +68,8 @@ def _request(options: argparse.Namespace, folder: Path) -> list[dict[str, object
         except OSError as error:
             raise CredentialsError(f"cannot read {options.ca}: {reason(error)}") from None
     identities = [of_robot(options.fleet, robot) for robot in options.robot]
+    if options.router is not None:
+        identities.append(of_router(options.fleet, options.router))
     return [_requested(folder, identity, wanted, authority) for identity in identities]
 
 
@@ -84,7 +89,12 @@ def _requested(
 
 
 def _store(options: argparse.Namespace, folder: Path) -> list[dict[str, object]]:
-    identity = of_robot(options.fleet, options.robot)
+    if (options.robot is None) == (options.router is None):
+        raise CredentialsError("name one: --robot ID or --router NAME")
+    if options.robot is not None:
+        identity = of_robot(options.fleet, options.robot)
+    else:
+        identity = of_router(options.fleet, options.router)
     store(folder, identity, _input(), time.time())
     return [{"identity": identity.common_name, "wanting": ""}]
 

@@ -1,4 +1,4 @@
-"""Certificates for robots on hosts: their keys are made there, what goes to and fro is public.
+"""Certificates for robots and routers on hosts: their keys are made there, what goes to and fro is public.
 
 `HostKeys` brings requests and certificates itself, over ssh. `read_requests` and `answer` are for programs
 that carry them (`handfast keys --sign`).
@@ -15,15 +15,16 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from agent.common.wording import printable
+from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.security.certificates import PEM_BYTES_MAX, CertificateError, authority_from_pem, fingerprint
 from agent.security.credentials import AUTHORITY_CERTIFICATE
-from agent.security.identity import of_robot
+from agent.security.identity import Identity, of_robot, of_router
 from agent.security.private_files import reason
 from deploy.console.arguments import InputError
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.inventory.certificate_authority import Authority, AuthorityError
-from deploy.inventory.hosts import located, robots_on
+from deploy.inventory.hosts import located, robots_on, used_hosts
 from deploy.inventory.operator_credentials import short
 
 MODULE: Final = "agent.security"
@@ -31,10 +32,24 @@ REQUESTS_BYTES_MAX: Final = 4_000_000
 REQUEST_BYTES_MAX: Final = 8_192
 """One robot's, with what it says beside it, as JSON."""
 REQUESTS_SHAPE: Final = (
-    'must be JSON, by robot what `agent.security request` says of it: {"1": {"request": "-----BEGIN ...", '
-    '"authority": FINGERPRINT}}'
+    "must be JSON, by robot what `agent.security request` says of it (by router.1 for a router): "
+    '{"1": {"request": "-----BEGIN ...", "authority": FINGERPRINT}}'
 )
 WHY_MAX: Final = 200
+
+
+def identities_on(fleet: Fleet, host: HostSection) -> dict[str, Identity]:
+    """Who on a host needs a certificate: its robots ("1"), then its router ("router.1"), if it has one."""
+    name = fleet.fleet.name
+    found = {str(robot): of_robot(name, robot) for robot in robots_on(fleet, host)}
+    if router := fleet.router_on(host.name):
+        found[f"router.{router.number}"] = of_router(name, router.identity_name)
+    return found
+
+
+def naming(identity: Identity) -> list[str]:
+    """How `agent.security` is told whose certificate is meant."""
+    return [f"--{identity.role}", identity.name]
 
 
 class AnotherAuthorityError(HostError):
@@ -56,7 +71,8 @@ def refusal(found: str, own: str, file: str) -> str:
 
 
 class HostKeys:
-    """Gives robots certificates where they have none that will do. Hosts may be served side by side.
+    """Gives robots, and routers on hosts, certificates where they have none that will do. Hosts may be served
+    side by side.
 
     Args:
         fleet: located.
@@ -105,35 +121,41 @@ class HostKeys:
         """Whether the robots of a host that was looked at have another authority, and are to get this one."""
         return self._found[host] not in ("", self._own)
 
-    def __call__(self, connection: HostConnection, version: str, folder: str) -> None:
-        """Sees to the robots of one host.
+    def __call__(self, connection: HostConnection, version: str, folder: str, *, robots: bool = True) -> None:
+        """Sees to the robots and the router of one host.
 
         Args:
             version: what is installed there.
             folder: where their keys are, there.
+            robots: False for the router alone.
 
         Raises:
             HostError: one cannot be made there, or the authority does not sign.
         """
         # A connection's own host may have no address: it is as ssh's configuration says.
         addresses = [self._addresses[connection.host.name]]
-        robots = robots_on(self._fleet, connection.host)
+        identities = [
+            identity
+            for identity in identities_on(self._fleet, connection.host).values()
+            if robots or identity.robot is None
+        ]
+        if not identities:
+            return
         who = ["--folder", folder, "--fleet", self._fleet.fleet.name]
         asked = ["request", *who, "--addresses", ",".join(addresses), "--ca", "-"]
-        asked += [word for robot in robots for word in ("--robot", str(robot))]
+        asked += [word for identity in identities for word in naming(identity)]
         output = connection.ask("run", module=MODULE, arguments=asked, version=version, text=self._own_pem)
-        for robot, line in zip(robots, output.splitlines(), strict=True):
+        for identity, line in zip(identities, output.splitlines(), strict=True):
             answer = json.loads(line)
             if answer["wanting"]:
-                text = self._signed(robot, answer["request"], addresses, answer["wanting"])
-                words = ["store", *who, "--robot", str(robot)]
+                text = self._signed(identity, answer["request"], addresses, answer["wanting"])
+                words = ["store", *who, *naming(identity)]
                 connection.ask("run", module=MODULE, arguments=words, version=version, text=text)
 
-    def _signed(self, robot: int, request: str, addresses: Sequence[str], why: str) -> str:
-        identity = of_robot(self._fleet.fleet.name, robot)
+    def _signed(self, identity: Identity, request: str, addresses: Sequence[str], why: str) -> str:
         if self._authority is None:
             raise HostError(
-                f"robot {robot} needs a certificate ({printable(why)[:WHY_MAX]}), and the authority "
+                f"{identity} needs a certificate ({printable(why)[:WHY_MAX]}), and the authority "
                 f"{short(self._own)} is not on this machine: `handfast up` where it is"
             )
         try:
@@ -151,7 +173,7 @@ def refuse_another(authority: Authority, found: str, file: str, *, take_over: bo
 
 
 class Asked(NamedTuple):
-    """A robot's request (PEM), and the fingerprint of the authority that it has, "" for none; or why it is no
+    """A request (PEM), and the fingerprint of the authority that who asks has, "" for none; or why it is no
     request."""
 
     request: str
@@ -172,8 +194,8 @@ def read_input(file: str, most: int = REQUESTS_BYTES_MAX) -> bytes:
         raise InputError(f"cannot read {file}: {reason(error)}") from None
 
 
-def read_requests(data: bytes, what: str, fleet: Fleet) -> dict[int, Asked]:
-    """Requests by robot. What one robot says is wrong with its own alone.
+def read_requests(data: bytes, what: str, fleet: Fleet) -> dict[str, Asked]:
+    """Requests, as `REQUESTS_SHAPE` says. What one says is wrong with its own alone.
 
     Args:
         what: where they are from, for messages.
@@ -190,10 +212,19 @@ def read_requests(data: bytes, what: str, fleet: Fleet) -> dict[int, Asked]:
             f"{what} is no request: neither an operator's (PEM, of --request) nor robots', "
             f"which {REQUESTS_SHAPE}"
         )
+    there_are = _identities(fleet)
     for name in found:
-        if name not in map(str, fleet.ids):
+        if name not in there_are:
             raise InputError(f"{what}: there is no robot {name[:20]} in {fleet.fleet.name}")
-    return {int(name): _asked(each, f"{what}: robot {name}") for name, each in found.items()}
+    return {name: _asked(each, f"{what}: {there_are[name]}") for name, each in found.items()}
+
+
+def _identities(fleet: Fleet) -> dict[str, Identity]:
+    """All that may ask for a certificate; robots without a host, too."""
+    found = {str(robot): of_robot(fleet.fleet.name, robot) for robot in fleet.ids}
+    for host in used_hosts(fleet):
+        found |= identities_on(fleet, host)
+    return found
 
 
 def _asked(value: object, who: str) -> Asked:
@@ -204,10 +235,10 @@ def _asked(value: object, who: str) -> Asked:
 
 
 class Answer(NamedTuple):
-    """By robot, what ``agent.security store`` takes (PEM), and why it gets no certificate."""
+    """By who has asked, what ``agent.security store`` takes (PEM), and why there is no certificate."""
 
-    signed: dict[int, str]
-    refused: dict[int, str]
+    signed: dict[str, str]
+    refused: dict[str, str]
 
     def as_json(self, authority: Authority) -> str:
         """With the authority's own certificate, for who carries it."""
@@ -218,36 +249,36 @@ class Answer(NamedTuple):
 def answer(
     fleet: Fleet,
     authority: Authority,
-    requests: Mapping[int, Asked],
+    requests: Mapping[str, Asked],
     now_s: float,
     file: str,
     *,
     take_over: bool = False,
 ) -> Answer:
-    """What the authority says to robots' requests; one that it refuses takes nothing from the others.
+    """What the authority says to requests; one that it refuses takes nothing from the others.
 
-    A certificate holds for the address of the robot's host.
+    A certificate holds for the address of the host.
 
     Args:
         file: the fleet's, as it is named in commands.
         take_over: whether robots of another authority are given certificates of this one.
     """
-    hosts = {host.name: host for host in located(fleet).hosts}
+    fleet = located(fleet)
+    identities = _identities(fleet)
+    hosts = {name: host for host in used_hosts(fleet) for name in identities_on(fleet, host)}
     found = Answer({}, {})
-    for robot, asked in requests.items():
-        host = hosts.get(fleet.robot(robot).host or "")
+    for name, asked in requests.items():
         try:
             if asked.trouble:
                 raise AuthorityError(asked.trouble)
-            if host is None:
+            if name not in hosts:
                 raise AuthorityError(
-                    f"robot {robot} has no host: `handfast keys --robot {robot} --out DIR` makes its key"
+                    f"robot {name} has no host: `handfast keys --robot {name} --out DIR` makes its key"
                 )
             refuse_another(authority, asked.authority, file, take_over=take_over)
-            where = [host.address or host.name]
-            name = of_robot(fleet.fleet.name, robot)
-            signed = authority.sign(name, asked.request.encode(), where, now_s)
-            found.signed[robot] = signed.decode("ascii")
+            where = [hosts[name].address or hosts[name].name]
+            signed = authority.sign(identities[name], asked.request.encode(), where, now_s)
+            found.signed[name] = signed.decode("ascii")
         except (AnotherAuthorityError, AuthorityError) as error:
-            found.refused[robot] = str(error)
+            found.refused[name] = str(error)
     return found

@@ -59,8 +59,9 @@ def sign(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) 
     with existing(options, fleet, folder, now_s) as authority:
         found = answer(fleet, authority, asked, now_s, options.fleet, take_over=options.take_over)
         print(found.as_json(authority))
-    for robot, why in found.refused.items():
-        print(f"handfast: robot {robot} gets no certificate: {printable(why)}", file=sys.stderr)
+    for name, why in found.refused.items():
+        whose = name.replace(".", " ") if "." in name else f"robot {name}"
+        print(f"handfast: {whose} gets no certificate: {printable(why)}", file=sys.stderr)
     return FAILED if found.refused else PASSED
 
 

@@ -112,9 +112,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     alone.add_argument(
         "--sign",
         metavar="FILE",
-        help="sign an operator's request (PEM; --out FILE); or robots', JSON {ROBOT: {request: PEM, "
-        'authority: FINGERPRINT}}, - for standard input: prints {"authority": PEM, "signed": {ROBOT: PEM}, '
-        '"refused": {ROBOT: WHY}}',
+        help="sign an operator's request (PEM; --out FILE); or robots' (and routers' of hosts, as router.1), "
+        "JSON {ROBOT: {request: PEM, authority: FINGERPRINT}}, - for standard input: prints "
+        '{"authority": PEM, "signed": {ROBOT: PEM}, "refused": {ROBOT: WHY}}',
     )
     alone.add_argument(
         "--take-over", action="store_true", help="with --sign: also for robots that have another authority"
@@ -188,8 +188,11 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
     addresses(options.addresses)
     if options.addresses and options.robot is None and options.router is None:
         raise InputError("--address is that of a robot or a router: give --robot or --router, too")
-    if options.router is not None and not (options.addresses or fleet.network.routers):
-        raise InputError("--router needs --address, at which robots reach it, or network.routers")
+    if options.router is not None and not (options.addresses or _elsewhere(fleet)):
+        raise InputError(
+            "--router needs --address, at which robots reach it, or HOST:PORT in network.routers (those on "
+            "hosts get theirs from `handfast up`)"
+        )
 
 
 # ---------------------------------------------------------------------- what goes alone
@@ -273,16 +276,22 @@ def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s
         _provide(authority, out, of_robot(name, options.robot), where, options.renew, now_s)
     elif options.router is not None:
         out = Path(options.out).expanduser() if options.out is not None else authority.folder
-        where = options.addresses or [router.rpartition(":")[0] for router in fleet.network.routers]
+        where = options.addresses or _elsewhere(fleet)
         _provide(authority, out, of_router(name, options.router), where, options.renew, now_s)
     if options.replace_authority:
         for line in _void(options.fleet, fleet, authority):
             print(line)
 
 
+def _elsewhere(fleet: Fleet) -> list[str]:
+    """Addresses of the routers that are on none of the fleet's hosts."""
+    return [router.where.rpartition(":")[0] for router in fleet.routers if router.host is None]
+
+
 def _void(file: str, fleet: Fleet, authority: Authority) -> Iterator[str]:
     """Who had a certificate and has none of this authority, each with the command that makes one."""
-    by_up = []
+    by_up: dict[str, list[str]] = {"robot": [], "router": []}
+    routers = [router.identity_name for router in fleet.routers]
     for name, entry in sorted(_latest(authority).items(), key=lambda item: _order(item[0])):
         who = parse(name)
         if entry.generation == authority.generation:
@@ -290,15 +299,18 @@ def _void(file: str, fleet: Fleet, authority: Authority) -> Iterator[str]:
         reached = "".join(f" --address {each}" for each in entry.addresses if each not in LOOPBACK)
         if who.role == "operator" and who.name in fleet.network.operators:
             yield f"void: {who}; `handfast keys {file} --operator {who.name}`, or --request where it is"
-        elif who.role == "router":
+        elif who.role == "router" and who.name == MAIN:
             yield f"void: {who}; `handfast keys {file} --router{reached}`, with --out DIR to carry it"
+        elif who.role == "router":
+            by_up["router"] += [who.name] if who.name in routers else []
         elif who.robot in fleet.ids:
             if fleet.host_of(who.robot) is not None:
-                by_up.append(who.name)
+                by_up["robot"].append(who.name)
             else:
                 yield f"void: {who}; `handfast keys {file} --robot {who.name}{reached} --out DIR`"
-    if by_up:
-        yield f"void: robot{'s' if len(by_up) > 1 else ''} {', '.join(by_up)}; `handfast up {file}`"
+    for role, names in by_up.items():
+        if names:
+            yield f"void: {role}{'s' if len(names) > 1 else ''} {', '.join(names)}; `handfast up {file}`"
 
 
 def _latest(authority: Authority) -> dict[str, Issued]:
