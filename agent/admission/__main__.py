@@ -1,10 +1,13 @@
-"""``python -m agent.admission --fleet FILE --robot ID``: stands before one robot's ports.
+"""``python -m agent.admission --fleet FILE --robot ID``: stands before one robot's ports; with ``--router K``
+before that of a router on a host.
 
-Agent and plant listen on the loopback then, and this on the address of the robot's host, on the same ports.
+Agent and plant, or the router, listen on the loopback then, and this on the address of their host, on the
+same ports.
 """
 
 from __future__ import annotations
 
+import argparse
 import ipaddress
 import json
 import socket
@@ -22,7 +25,7 @@ from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
-from agent.runtime.process import Shutdown, logger, robot_arguments
+from agent.runtime.process import Shutdown, logger
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.private_files import KeyFileError, read, write
 from agent.security.refusals import Refusals
@@ -114,19 +117,30 @@ class _Background:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process. Returns its exit status: 0 when it was asked to end, 1 when it cannot begin now, 2
     for bad input."""
-    parser = robot_arguments("python -m agent.admission", "Lets connections to one robot through, or not.")
+    parser = argparse.ArgumentParser(
+        prog="python -m agent.admission", description="Lets connections through to its ports, or not."
+    )
+    parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
+    whose = parser.add_mutually_exclusive_group(required=True)
+    whose.add_argument("--robot", type=int, metavar="ID", help="id of the robot before which it stands")
+    whose.add_argument("--router", type=int, metavar="K", help="or which router, from 1")
     parser.add_argument("--proven", type=Path, metavar="FILE", help="remembers there who had a certificate")
+    parser.add_argument(
+        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
+    )
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
-    log = logger(options.robot, "admission")
+    robot, router = options.robot, options.router
+    log = logger(f"router {router}" if robot is None else f"robot {robot}", "admission")
     try:
         fleet = load_fleet(options.fleet)
-        doors = fleet.admission_doors(options.robot)
+        doors = fleet.router_doors(router) if robot is None else fleet.admission_doors(robot)
     except FleetError as error:
         log(str(error))
         return BAD_INPUT
     if not doors:
-        log('nothing to do: the fleet file does not say network.admission = "proxy"')
+        what = "" if robot is not None else ", or has no such router on a host"
+        log(f'nothing to do: the fleet file does not say network.admission = "proxy"{what}')
         return BAD_INPUT
     with SystemdNotifier() as service, ExitStack() as opened:
         found = []

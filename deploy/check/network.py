@@ -49,18 +49,27 @@ def load_of(fleet: Fleet) -> Load:
 
 def describe_links(fleet: Fleet) -> str:
     """The topology, and what it carries, in a line."""
-    load = load_of(fleet)
-    network = fleet.network
-    if not fleet.is_routed:
-        text = "a mesh"
-    elif network.routers:
-        text = f"routed by {' or '.join(network.routers)}"
-    else:
-        text = "routed by a router that `handfast run` starts"
+    load, text = load_of(fleet), _topology(fleet)
     heard = [(load.hands, "hand states"), (load.beacons, "beacons"), (load.own, "states of its plant")]
     text += f": {load.links} link{'s' * (load.links != 1)}; a robot hears "
     text += f"{', '.join(f'{rate:.0f} {what}' for rate, what in heard if rate)} a second"
     return text + (f", routers pass on {load.routed:.0f}" if load.routed else "")
+
+
+def _topology(fleet: Fleet) -> str:
+    """Which topology it is, and why."""
+    if fleet.network.topology is not None:
+        why = "network.topology"
+    elif fleet.network.routers:
+        why = "network.routers"
+    else:
+        why = f"{'more than' if fleet.is_routed else 'at most'} {MESH_ROBOTS_MAX} robots"
+    if not fleet.is_routed:
+        return f"a mesh ({why})"
+    places = [router.where if router.host is None else f"one on {router.host}" for router in fleet.routers]
+    by = " or ".join(places) or "a router that `handfast run` starts"
+    starts = any(router.host is not None for router in fleet.routers)
+    return f"routed ({why}) by {by}{', which `handfast up` starts' * starts}"
 
 
 def check_network(fleet: Fleet) -> Iterator[Finding]:
@@ -68,15 +77,9 @@ def check_network(fleet: Fleet) -> Iterator[Finding]:
     n = len(fleet.robots)
     if fleet.is_routed or n <= MESH_ROBOTS_MAX:
         return
-    has_hosts = any(robot.host is not None for robot in fleet.robots)
-    advice = (
-        'name [network] routers, such as ["192.168.1.2:7447"], and start `handfast router` there'
-        if has_hosts
-        else "leave out network.topology"
-    )
     yield Finding(
         "warning",
         "network",
         f"{n} robots are linked each to each, by {n * (n - 1) // 2} links; {MESH_ROBOTS_MAX} are as many as "
-        f"go well together: {advice}",
+        "go well together: leave out network.topology",
     )

@@ -22,7 +22,7 @@ from agent.supervision.state_machine import DRIVING
 from deploy.console.data_files import ANSIBLE
 from deploy.hosts import remote_program, systemd_units
 from deploy.hosts.bundle import Bundle, Platform
-from deploy.hosts.certificates import MODULE, REQUEST_BYTES_MAX
+from deploy.hosts.certificates import MODULE, REQUEST_BYTES_MAX, identities_on, naming
 from deploy.hosts.connection import NO_PYTHON, PROGRAM, bootstrap
 from deploy.hosts.setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
 from deploy.hosts.systemd_units import fleet_file, places
@@ -229,31 +229,28 @@ def _of_one(fleet: Fleet, host: HostSection, robots_text: str) -> dict[str, Any]
         raise DeploymentError(f"host.{host.name}.key: Ansible would read {host.key!r} as a template")
     there = places(fleet, ROOT, VERSION, robots_text)
     robots = robots_on(fleet, host)
-    name = fleet.fleet.name
     address = host.address or host.name
-    who = {robot: ["--folder", f"{there.keys}", "--fleet", name, "--robot", str(robot)] for robot in robots}
     variables: dict[str, Any] = {
         **_reached(host),
         "handfast_bootstrap": bootstrap(host.python),
         "handfast_robots": list(map(str, robots)),
-        "handfast_units": {
-            str(robot): {
-                systemd_units.unit_name(name, robot, role): systemd_units.unit(fleet, robot, role, there)
-                for role in systemd_units.roles(fleet)
-            }
-            for robot in robots
-        },
+        "handfast_units": {str(robot): systemd_units.units(fleet, robot, there) for robot in robots},
+        "handfast_router_units": systemd_units.router_units(fleet, host, there),
     }
     if fleet.is_secured:
+        identities = identities_on(fleet, host)
+        who = {
+            asks: ["--folder", f"{there.keys}", "--fleet", fleet.fleet.name, *naming(identity)]
+            for asks, identity in identities.items()
+        }
+        variables["handfast_certified"] = list(identities)
         variables["handfast_certificate_requests"] = [
-            _run(
-                ["request", *who[robot], "--addresses", address, "--ca", "-"], "{{handfast_signed.authority}}"
-            )
-            for robot in robots
+            _run(["request", *words, "--addresses", address, "--ca", "-"], "{{handfast_signed.authority}}")
+            for words in who.values()
         ]
         variables["handfast_certificate_answers"] = [
-            _run(["store", *who[robot]], f"{{{{handfast_signed.signed['{robot}'] | default('')}}}}")
-            for robot in robots
+            _run(["store", *words], f"{{{{handfast_signed.signed['{asks}'] | default('')}}}}")
+            for asks, words in who.items()
         ]
     return variables
 

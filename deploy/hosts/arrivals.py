@@ -8,7 +8,7 @@ from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
-from agent.messages.types import Resume, Stop
+from agent.messages.types import Message, Resume, Status, Stop
 from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.drive.preconditions import CAME_UP, is_lifted
 from deploy.drive.readiness import is_ready
@@ -27,8 +27,18 @@ class Arrivals(OperatorSession):
     def __init__(self, fleet: Fleet) -> None:
         super().__init__(fleet)
         self._came: dict[Receiver, float] = {}
+        self._said: dict[int, float] = {}
         self._meant: Stop | None = None
         self._given: Stop | None = None
+
+    def feed(self, key: str, message: Message) -> None:
+        super().feed(key, message)
+        if type(message) is Status:
+            self._said[message.robot] = time.monotonic()
+
+    def said_since(self, robot: int, since: float) -> bool:
+        """Whether a status of a robot came after `since`, monotonic time (s)."""
+        return self._said.get(robot, since) > since
 
     def look(self) -> None:
         """Takes what came."""

@@ -33,7 +33,8 @@ def ruleset(fleet: Fleet, known: Iterable[str], devices: Sequence[str] = ()) -> 
         ValueError: one is no address.
     """
     first = fleet.network.base_port
-    last = first + 2 * len(fleet.robots) - 1
+    has_routers = any(router.host is not None for router in fleet.routers)
+    last = first + 2 * len(fleet.robots) - 1 + has_routers
     addresses = {ip_address(each.partition("%")[0]) for each in (*OWN, *known)}
     only = [f'"{device}"' for device in ("lo", *devices)] if devices else []
     table = f"handfast_{fleet.fleet.name.replace('-', '_')}"

@@ -371,10 +371,10 @@ def shown(patterns: Collection[str]) -> dict[str, dict[str, str]]:
 
 def units_of(fleet: str) -> dict[str, dict[str, str]]:
     """What systemd says of the units of a fleet that have a file here or are loaded still, by name."""
-    mask = f"handfast-{fleet}-robot-*.service"
-    files = [path.name for path in units_folder().glob(mask)]
-    known = shown([mask, *files])
-    pattern = re.compile(rf"handfast-{re.escape(fleet)}-robot-\d+-[a-z]+\.service")
+    masks = [f"handfast-{fleet}-{whose}*.service" for whose in ("robot-", "router")]
+    files = [path.name for mask in masks for path in units_folder().glob(mask)]
+    known = shown([*masks, *files])
+    pattern = re.compile(rf"handfast-{re.escape(fleet)}-(robot-\d+-[a-z]+|router(-admission)?)\.service")
     return {name: known.get(name, {}) for name in sorted({*files, *known}) if pattern.fullmatch(name)}
 
 
@@ -575,9 +575,9 @@ def status(fleet: str) -> dict[str, Any]:
 
 
 def certificates(fleet: str) -> dict[str, str]:
-    """The certificates (PEM) of a fleet's robots here, by file; they are public."""
-    found = {}
-    for path in sorted(inside(f"fleets/{fleet}/keys").glob("*.robot.*.crt")):
+    """The certificates (PEM) of a fleet's robots and router here, by file; they are public."""
+    found, folder = {}, inside(f"fleets/{fleet}/keys")
+    for path in sorted([*folder.glob("*.robot.*.crt"), *folder.glob("*.router.*.crt")]):
         with suppress(OSError):
             if not path.name.endswith(".next.crt") and path.stat().st_size <= CERTIFICATE_BYTES_MAX:
                 found[path.name] = path.read_text(errors="replace")

@@ -1,10 +1,11 @@
-"""Makes one host ready for its robots: looks at it, installs, writes the fleet file, what is to start."""
+"""Makes one host ready for its robots and its router: looks at it, installs, writes the fleet file, what is
+to start."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
@@ -21,8 +22,14 @@ CLOCK_ERROR_MAX_S: Final = 1.0
 
 Say = Callable[[str], None]
 """Called with what is being done, in a few words."""
-Keys = Callable[[HostConnection, str, str], None]
-"""Gives the robots of a host their certificates, see `deploy.hosts.certificates.HostKeys`."""
+
+
+class Keys(Protocol):
+    """Gives who is on a host their certificates, see `deploy.hosts.certificates.HostKeys`."""
+
+    def __call__(
+        self, connection: HostConnection, version: str, folder: str, *, robots: bool = True
+    ) -> None: ...
 
 
 class Prepared(NamedTuple):
@@ -33,6 +40,8 @@ class Prepared(NamedTuple):
         units: texts of the robots' units, by robot and name.
         stale: by robot, its units that do not run yet, or run something else than they should; none of
             robots whose units are all well. Their files are as they were.
+        router: texts of the units of its router, by name; none where it has none.
+        stale_router: those of them that do not run yet, or run something else than they should.
         unwanted: units that should not be there.
         warnings: what its operator should know.
     """
@@ -40,6 +49,8 @@ class Prepared(NamedTuple):
     version: str
     units: Mapping[int, Mapping[str, str]]
     stale: Mapping[int, tuple[str, ...]]
+    router: Mapping[str, str]
+    stale_router: tuple[str, ...]
     unwanted: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -52,6 +63,8 @@ def prepare(
     say: Say,
     keys: Keys | None,
     before_changes: Callable[[], None],
+    *,
+    robots: bool = True,
 ) -> Prepared:
     """Makes a host ready; what is ready already is left alone.
 
@@ -59,8 +72,9 @@ def prepare(
         fleet: resolved and located.
         text: of the fleet file that robots read.
         program: `deploy.hosts.bundle.program_archive`.
-        keys: gives the robots of a secured fleet their certificates.
+        keys: gives robots and routers of a secured fleet their certificates.
         before_changes: called when all is there, before the robots' files and units change; may raise.
+        robots: False for the router alone: its robots and their units are left as they are.
 
     Raises:
         HostError: it cannot be made ready; the text says why.
@@ -88,29 +102,28 @@ def prepare(
         connection.exchange("put", text.encode(), path=file)
     if places.keys is not None and keys is not None:
         say("certificates")
-        keys(connection, bundle.version, places.keys)
+        keys(connection, bundle.version, places.keys, robots=robots)
+    router = systemd_units.router_units(fleet, host, places)
     texts = {
-        robot: {
-            systemd_units.unit_name(name, robot, role): systemd_units.unit(fleet, robot, role, places)
-            for role in systemd_units.roles(fleet)
-        }
-        for robot in robots_on(fleet, host)
+        robot: systemd_units.units(fleet, robot, places)
+        for robot in (robots_on(fleet, host) if robots else ())
     }
     say("comparing")
-    wanted = {unit: text for of_robot in texts.values() for unit, text in of_robot.items()}
+    wanted = {unit: text for of_robot in texts.values() for unit, text in of_robot.items()} | router
     found = connection.ask("compare", fleet=name, wanted=wanted)
     stale = {
         robot: tuple(unit for unit in of_robot if unit in found["stale"])
         for robot, of_robot in texts.items()
         if not of_robot.keys().isdisjoint(found["stale"])
     }
-    # Files of robots that run as they should: what a crash would start is the same.
+    stale_router = tuple(unit for unit in router if unit in found["stale"])
+    # Files of those that run as they should: what a crash would start is the same.
     fine = {
         unit: text
         for robot, of_robot in texts.items()
         if robot not in stale
         for unit, text in of_robot.items()
-    }
+    } | (router if not stale_router else {})
     if not fine.keys().isdisjoint(found["unwritten"]):
         connection.ask("units", wanted=fine)
     if found["open"]:
@@ -123,7 +136,15 @@ def prepare(
             f"{about['user']} may not read its journal, `handfast logs` shows nothing of it: "
             f"sudo usermod -aG systemd-journal {about['user']}"
         )
-    return Prepared(bundle.version, texts, stale, tuple(found["unwanted"]), tuple(warnings))
+    return Prepared(
+        bundle.version,
+        texts,
+        stale,
+        router,
+        stale_router,
+        tuple(found["unwanted"]) if robots else (),
+        tuple(warnings),
+    )
 
 
 def _refuse(host: HostSection, about: Mapping[str, Any]) -> None:

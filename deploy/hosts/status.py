@@ -14,14 +14,16 @@ from rich.table import Table
 from rich.text import Text
 
 from agent.common.wording import printable
+from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages.types import Status
 from agent.security.certificates import DAY_S, until
-from agent.security.identity import IdentityError, parse
+from agent.security.identity import Identity, IdentityError, of_robot, of_router, parse
 from agent.supervision.state_machine import State
 from deploy.console.wording import FEW, robots
 from deploy.drive.live_view import STYLES
 from deploy.hosts import systemd_units
+from deploy.hosts.certificates import identities_on
 from deploy.hosts.connection import Clock, HostError
 from deploy.inventory.expiry import Expiry
 
@@ -44,8 +46,8 @@ class HostStatus:
     clock: Clock | None = None
     load: float | None = None
     error: str = ""
-    expiries: Mapping[int, float] = field(default_factory=dict)
-    """By robot, until when its certificate holds, s since the Unix epoch, as its host says."""
+    expiries: Mapping[Identity, float] = field(default_factory=dict)
+    """Until when certificates of robots and routers hold, s since the Unix epoch, as their host says."""
 
 
 def host_status(answer: Mapping[str, Any], clock: Clock) -> HostStatus:
@@ -69,14 +71,14 @@ def host_status(answer: Mapping[str, Any], clock: Clock) -> HostStatus:
         raise HostError(f"what it says of its units makes no sense ({type(error).__name__})") from None
 
 
-def _expiries(certificates: Mapping[str, str]) -> dict[int, float]:
+def _expiries(certificates: Mapping[str, str]) -> dict[Identity, float]:
     found = {}
     for name, pem in certificates.items():
-        identity, ends_s = name.removesuffix(".crt"), until(pem.encode(errors="replace"))
+        ends_s = until(pem.encode(errors="replace"))
         with suppress(IdentityError):
-            robot = parse(identity).robot
-            if robot is not None and ends_s is not None:
-                found[robot] = ends_s
+            identity = parse(name.removesuffix(".crt"))
+            if ends_s is not None:
+                found[identity] = ends_s
     return found
 
 
@@ -93,37 +95,72 @@ def host_rows(found: Mapping[str, HostStatus]) -> dict[str, dict[str, Any]]:
     }
 
 
-def robots_by_host(
-    found: Mapping[str, HostStatus], robots: Mapping[str, Sequence[int]], file: str
-) -> list[Expiry]:
-    """Until when robots' certificates hold, as their hosts say.
+def expiries_on_hosts(fleet: Fleet, found: Mapping[str, HostStatus], file: str) -> list[Expiry]:
+    """Until when certificates of robots and routers hold, as their own hosts say: the word of a host on
+    others counts for nothing.
 
     Args:
-        robots: by host, whose word on others counts for nothing.
         file: the fleet's, as it is named in commands.
     """
     ends = {
-        robot: ends_s
-        for name, host in found.items()
-        for robot, ends_s in host.expiries.items()
-        if robot in robots[name]
+        identity: found[host.name].expiries[identity]
+        for host in fleet.hosts
+        if host.name in found
+        for identity in identities_on(fleet, host).values()
+        if identity in found[host.name].expiries
     }
-    return [Expiry(f"robot {robot}", ends[robot], f"`handfast up {file}`") for robot in sorted(ends)]
+    ordered = sorted(ends, key=lambda identity: (identity.role, int(identity.name)))
+    return [Expiry(str(identity), ends[identity], f"`handfast up {file}`") for identity in ordered]
 
 
 def process_row(
     fleet: Fleet, robot: int, role: str, host: HostStatus, status: Status | None, now_s: float
 ) -> dict[str, Any]:
-    """What is known of a process, JSON values; None where it is not.
+    """What is known of a process of a robot, JSON values; None where it is not.
 
     Args:
         now_s: the present, wall time.
     """
-    about = host.units.get(systemd_units.unit_name(fleet.fleet.name, robot, role), {})
-    row: dict[str, Any] = {
-        "robot": robot,
-        "host": fleet.robot(robot).host,
-        "role": role,
+    name = fleet.fleet.name
+    row = _row(systemd_units.unit_name(name, robot, role), host)
+    row |= {"robot": robot, "host": fleet.robot(robot).host, "role": role}
+    if (ends_s := host.expiries.get(of_robot(name, robot))) is not None:
+        row["certificate_days"] = _days(ends_s, now_s)
+    if role == "agent" and status is not None:
+        ages = [age_us for _, age_us, *_ in status.neighbours if age_us >= 0]
+        row |= {
+            "state": status.state,
+            "reason": status.reason,
+            "oldest_ms": max(ages) / 1e3 if ages else None,
+        }
+    return row
+
+
+def router_rows(fleet: Fleet, host: HostSection, found: HostStatus, now_s: float) -> list[dict[str, Any]]:
+    """As `process_row`, of the processes of the router on a host."""
+    name, router = fleet.fleet.name, fleet.router_on(host.name)
+    rows = []
+    for role in systemd_units.router_roles(fleet) if router is not None else ():
+        row = _row(systemd_units.router_unit_name(name, role), found)
+        row |= {"host": host.name, "role": role if role == systemd_units.ROUTER else f"router {role}"}
+        assert router is not None
+        if (ends_s := found.expiries.get(of_router(name, router.identity_name))) is not None:
+            row["certificate_days"] = _days(ends_s, now_s)
+        rows.append(row)
+    return rows
+
+
+def _days(ends_s: float, now_s: float) -> float:
+    return round((ends_s - now_s) / DAY_S, 1)
+
+
+def _row(unit: str, host: HostStatus) -> dict[str, Any]:
+    """What a host says of a unit."""
+    about = host.units.get(unit, {})
+    return {
+        "robot": None,
+        "host": None,
+        "role": "",
         "unit": about.get("ActiveState") or ("unknown" if host.error else "none"),
         "result": about.get("Result"),
         "restarts": about.get("NRestarts"),
@@ -137,16 +174,6 @@ def process_row(
         "oldest_ms": None,
         "certificate_days": None,
     }
-    if robot in host.expiries:
-        row["certificate_days"] = round((host.expiries[robot] - now_s) / DAY_S, 1)
-    if role == "agent" and status is not None:
-        ages = [age_us for _, age_us, *_ in status.neighbours if age_us >= 0]
-        row |= {
-            "state": status.state,
-            "reason": status.reason,
-            "oldest_ms": max(ages) / 1e3 if ages else None,
-        }
-    return row
 
 
 def print_table(
@@ -165,10 +192,12 @@ def print_table(
     """
     versions: dict[str, set[int]] = {}
     for row in rows:
-        if row["version"]:  # its last part is of the wheels, which are others for another processor
+        if (
+            row["version"] and row["robot"] is not None
+        ):  # its last part is of the wheels, which are others for another processor
             versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
     sums: list[str] = []
-    if not each and len({row["robot"] for row in rows}) > FEW:
+    if not each and len(_robots(rows)) > FEW:
         rows, found, sums = _wrong(rows, found, clock_skew_max_s)
     # A pipe has no width of its own: there each process is one line, however long.
     width = None if sys.stdout.isatty() else PIPE_WIDTH
@@ -194,7 +223,7 @@ def print_table(
         unit = row["unit"] if row["result"] in (None, "success") else f"{row['unit']} ({row['result']})"
         why = (row["reason"] if row["state"] else row["says"]) or ""
         table.add_row(
-            str(row["robot"]),
+            _shown(row["robot"], "d"),
             row["host"] or HERE,
             row["role"],
             Text(printable(unit), style="" if row["unit"] == "active" else "bold red"),
@@ -230,6 +259,10 @@ def print_table(
         console.print(line, markup=False)
 
 
+def _robots(rows: Sequence[Mapping[str, Any]]) -> set[int]:
+    return {row["robot"] for row in rows if row["robot"] is not None}
+
+
 def _wrong(
     rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus], clock_skew_max_s: float
 ) -> tuple[list[Mapping[str, Any]], dict[str, HostStatus], list[str]]:
@@ -247,7 +280,7 @@ def _wrong(
     units = Counter(printable(row["unit"]) for row in rows)
     states = Counter(printable(row["state"] or "silent") for row in rows if row["role"] == "agent")
     lines = [
-        f"{len(rows)} processes of {len({row['robot'] for row in rows})} robots: {_counted(units)}",
+        f"{len(rows)} processes of {len(_robots(rows))} robots: {_counted(units)}",
         f"agents: {_counted(states)}" if is_heard else "agents: none is heard",
     ]
     clocks = [host.clock for host in found.values() if host.clock is not None]

@@ -1,4 +1,4 @@
-"""The systemd user units of a robot, one for each of its processes, and where its files are (PURE).
+"""The systemd user units of robots and routers, one for each process, and where their files are (PURE).
 
 A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that
 it lives (`agent.runtime.systemd_notify`); it bounds what it may take, and keeps it from what it does not need
@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from agent.common.exit import BAD_INPUT
+from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
-from agent.security.identity import of_robot
+from agent.security.identity import of_robot, of_router
 from deploy.hosts import sandboxing
 from deploy.hosts.sandboxing import Needs
 from deploy.processes.child import ONE_THREAD
@@ -25,8 +26,11 @@ RECORDER: Final = "recorder"
 RECORDER_MODULE: Final = "agent.recorder"
 ADMISSION: Final = "admission"
 ADMISSION_MODULE: Final = "agent.admission"
-WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0, ADMISSION: 3.0}
-"""A process whose loop is silent for so long is killed and started again. A recorder's disk may stall."""
+ROUTER: Final = "router"
+ROUTER_MODULE: Final = "agent.runtime.router"
+WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0, ADMISSION: 3.0, ROUTER: 3.0}
+"""A process whose loop is silent for so long is killed and started again. A recorder's disk may stall; a
+router is every robot's, and its loop is not what passes messages on."""
 RESTART_DELAY_MS: Final = 200
 STOP_TIMEOUT_S: Final = 5
 """A process that was asked to end brakes first; after this it is killed."""
@@ -44,7 +48,7 @@ class Places:
     Attributes:
         version: folder of the installed version, with its own Python in ``bin/python``.
         fleet_file: what the processes read.
-        keys: folder of the robots' keys and certificates, None in a fleet that is not secured.
+        keys: folder of private keys and certificates, None in a fleet that is not secured.
         recordings: folder of what robots record.
         state: folder of what processes remember while the fleet is up.
         orders: folder of operators' orders, which outlive processes and `handfast down`.
@@ -88,14 +92,24 @@ def roles(fleet: Fleet) -> tuple[str, ...]:
     return ("plant", "agent", *(role for role, wanted in more if wanted))
 
 
+def router_roles(fleet: Fleet) -> tuple[str, ...]:
+    """Processes that a router on a host has, in the order of their start."""
+    return (ROUTER, ADMISSION) if fleet.has_admission else (ROUTER,)
+
+
 def unit_name(fleet: str, robot: int, role: str) -> str:
     """Name of the systemd unit of a robot's process."""
     return f"handfast-{fleet}-robot-{robot}-{role}.service"
 
 
-def identifier(fleet: str, robot: int, role: str) -> str:
-    """What lines of a process's log in the journal begin with."""
-    return unit_name(fleet, robot, role).removesuffix(".service")
+def router_unit_name(fleet: str, role: str = ROUTER) -> str:
+    """Name of the systemd unit of a router's process: a host has one router at most."""
+    return f"handfast-{fleet}-router{'' if role == ROUTER else f'-{role}'}.service"
+
+
+def identifier(unit: str) -> str:
+    """What lines of a unit's log in the journal begin with."""
+    return unit.removesuffix(".service")
 
 
 def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
@@ -120,11 +134,44 @@ def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
 
 def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
     """Text of a process's unit file."""
-    reads = []
+    name, reads = fleet.fleet.name, []
     if places.keys is not None and role != ADMISSION:  # with another authority it gets another one as well
-        reads.append(f"{places.keys}/{of_robot(fleet.fleet.name, robot).common_name}.crt")
+        reads.append(f"{places.keys}/{of_robot(name, robot).common_name}.crt")
     words, needs = arguments(fleet, robot, role, places), _needs(fleet, robot, role, places)
-    return "\n".join(_lines(fleet, robot, role, words, reads, needs))
+    unit = unit_name(name, robot, role)
+    return "\n".join(_lines(unit, f"{name}: robot {robot}'s {role}", role, words, reads, needs))
+
+
+def units(fleet: Fleet, robot: int, places: Places) -> dict[str, str]:
+    """Texts of all unit files of a robot, by name."""
+    return {
+        unit_name(fleet.fleet.name, robot, role): unit(fleet, robot, role, places) for role in roles(fleet)
+    }
+
+
+def router_units(fleet: Fleet, host: HostSection, places: Places) -> dict[str, str]:
+    """Texts of all unit files of the router on a host, by name; none where there is none."""
+    router = fleet.router_on(host.name)
+    if router is None:
+        return {}
+    name, keys = fleet.fleet.name, places.keys
+    found = {}
+    for role in router_roles(fleet):
+        module = ROUTER_MODULE if role == ROUTER else ADMISSION_MODULE
+        words = [f"{places.version}/bin/python", "-P", "-m", module, "--fleet", places.fleet_file]
+        reads, needs = [], Needs()
+        if role == ADMISSION:
+            words += ["--router", str(router.number), "--proven", f"{places.state}/router.proven.json"]
+            needs = Needs([places.state], [] if keys is None else [keys])
+        else:
+            words += ["--number", str(router.number)]
+            if keys is not None:
+                words += ["--keys", keys]
+                reads.append(f"{keys}/{of_router(name, router.identity_name).common_name}.crt")
+        unit = router_unit_name(name, role)
+        about = f"{name}: router {router.number}" + ("" if role == ROUTER else f"'s {role}")
+        found[unit] = "\n".join(_lines(unit, about, role, words, reads, needs))
+    return found
 
 
 def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:
@@ -144,9 +191,8 @@ def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:
 
 
 def _lines(
-    fleet: Fleet, robot: int, role: str, words: Sequence[str], reads: Sequence[str], needs: Needs
+    unit: str, about: str, role: str, words: Sequence[str], reads: Sequence[str], needs: Needs
 ) -> Iterator[str]:
-    name = fleet.fleet.name
     # Read again by deploy.hosts.remote_program: tells whether what runs is what is meant, and has read what
     # is there; which folders there must be.
     yield "# Written by `handfast up`: changed there, or removed by `handfast down`."
@@ -154,8 +200,8 @@ def _lines(
     yield f"# reads: {json.dumps(reads)}"
     yield f"# writes: {json.dumps(list(needs.writes))}"
     yield "[Unit]"
-    yield f"Description=handfast {name}: robot {robot}'s {role}"
-    yield "StartLimitIntervalSec=0"  # a robot has to come back, however often it fell
+    yield f"Description=handfast {about}"
+    yield "StartLimitIntervalSec=0"  # it has to come back, however often it fell
     yield ""
     yield "[Service]"
     yield "Type=notify"
@@ -177,7 +223,7 @@ def _lines(
     yield "LimitCORE=0"
     yield "OOMPolicy=stop"
     yield "UMask=0077"
-    yield f"SyslogIdentifier={identifier(name, robot, role)}"
+    yield f"SyslogIdentifier={identifier(unit)}"
     yield from sandboxing.filters(needs)
     yield from sandboxing.namespaces(needs)
     yield ""

@@ -2,7 +2,8 @@
 
 Each host is made ready (`deploy.hosts.setup`), and what is not as it should be starts again there. While the
 fleet drives, robots start again one at a time, each only when the one before is back in its place. Who is
-there, and in what state, is heard over the bus and not from ssh.
+there, and in what state, is heard over the bus and not from ssh. Where that goes through routers on hosts
+and none of them answers, these start before anything else.
 """
 
 from __future__ import annotations
@@ -19,21 +20,24 @@ from agent.fleet.model import Fleet
 from agent.messages.codec import encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Resume, Stop
+from agent.runtime.bus import BusError
 from agent.runtime.order_store import packed
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
+from deploy.console.wording import some
 from deploy.drive.preconditions import clock, older_mission, why
 from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
 from deploy.hosts.certificates import AnotherAuthorityError, HostKeys
 from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.jobs import AT_ONCE_MAX, HostJobs
+from deploy.hosts.jobs import AT_ONCE_MAX, HostJobs, Work
 from deploy.hosts.plugin_files import plugin_modules
 from deploy.hosts.remote_program import STOP_TEXT_MAX
+from deploy.hosts.router_start import start_router
 from deploy.hosts.setup import Prepared, prepare
-from deploy.hosts.view import DOING, DONE, HostsView, Row
+from deploy.hosts.view import DOING, DONE, FAILED, INTERRUPTED, HostsView, Row
 from deploy.inventory.hosts import robots_on, robots_text
 from deploy.session.sealing import sealed, unsealed
 
@@ -81,7 +85,9 @@ class BringUp:
         before_changes: called with a host's name before anything of the fleet changes there, in a thread.
 
     Attributes:
+        fleet: as it was given.
         rows: by host, what became of it.
+        routers: by number, what became of the routers on these hosts.
         left: robots that should have started again and did not, as one before them did not come back.
         warnings: what the operator should know.
         has_authority_of_now: whether all robots of the fleet are there, with the authority of now.
@@ -98,11 +104,13 @@ class BringUp:
         before_changes: Callable[[str], None] = lambda host: None,
     ) -> None:
         self._before_changes = before_changes
-        self._fleet, self._keys, self._timing = fleet, keys, timing or Timing()
-        self._jobs = HostJobs(
-            fleet, hosts, self._bring, accept_new=accept_new, at_once=AT_ONCE_MAX, look_s=self._timing.look_s
-        )
+        self.fleet: Final = fleet
+        self._keys, self._timing = keys, timing or Timing()
+        self._hosts, self._accept_new = hosts, accept_new
+        self._jobs = self._jobs_first = self._work_on(hosts, self._bring)
         self.rows: Final = self._jobs.rows
+        self.routers: dict[int, str] = {}
+        self._hears = False
         self.left: set[int] = set()
         self.warnings: list[str] = []
         self._text = robots_text(fleet)
@@ -130,7 +138,13 @@ class BringUp:
         Raises:
             agent.runtime.bus.BusError: the operator's session cannot be opened.
         """
-        with Arrivals(self._fleet) as self._arrivals:
+        arrivals = self._open(view, interrupt)
+        if arrivals is None:
+            for row in self.rows.values():
+                row.fail(INTERRUPTED)
+            return
+        with arrivals as self._arrivals:
+            self._hears = True
             listen_until = time.monotonic() + self._timing.listen_s
 
             def look() -> None:
@@ -158,6 +172,52 @@ class BringUp:
             for row in self.rows.values():
                 self._conclude(row)
             view.show(list(self.rows.values()))
+
+    def _work_on(self, hosts: Sequence[HostSection], work: Work) -> HostJobs:
+        return HostJobs(
+            self.fleet,
+            hosts,
+            work,
+            accept_new=self._accept_new,
+            at_once=AT_ONCE_MAX,
+            look_s=self._timing.look_s,
+        )
+
+    def _open(self, view: HostsView, interrupt: Interrupt) -> Arrivals | None:
+        """An ear on the fleet's bus; where no router answers, the routers on these hosts are brought up
+        first. None where somebody wants to end it.
+
+        Raises:
+            BusError: there is no way to hear the fleet.
+        """
+        hosts = [host for host in self._hosts if self.fleet.router_on(host.name) is not None]
+        try:
+            return Arrivals(self.fleet)
+        except BusError as error:
+            if not hosts:
+                on = [router.host for router in self.fleet.routers if router.host is not None]
+                raise BusError(f"{error}{f'; bring up {some(on)}, too' if on else ''}") from None
+        # Which authority the robots of any host have counts before this one's has given the first.
+        first = self._hosts if self._keys is not None and self._keys.is_first else hosts
+        with self._work_on(first, self._bring_router) as self._jobs_first:
+            self._jobs_first.wait(view, interrupt)
+            view.show(list(self._jobs_first.rows.values()))
+        if interrupt.count:
+            return None
+        rows = [self._jobs_first.rows[host.name] for host in hosts]
+        if all(row.state == FAILED for row in rows):
+            raise BusError("; ".join(f"{row.host}: {row.step}" for row in rows))
+        deadline = time.monotonic() + self._timing.present_s
+
+        def gives_up() -> bool:
+            return interrupt.count > 0 or time.monotonic() > deadline
+
+        while True:
+            try:
+                return Arrivals(self.fleet)
+            except BusError:
+                if gives_up():
+                    raise
 
     def _say_stop(self) -> None:
         """Says the stop in force to those who do not know of it; when robots start, one that ends whatever
@@ -190,15 +250,15 @@ class BringUp:
     def _lay_stop(self, connection: HostConnection) -> None:
         """Has the robots of a host find that stop before they start. Robots that were heard to stand are not
         to drive by what somebody ordered before they started."""
-        name, robots = self._fleet.fleet.name, len(robots_on(self._fleet, connection.host))
+        name, robots = self.fleet.fleet.name, len(robots_on(self.fleet, connection.host))
         most = ORDERS_EACH * (robots + ROBOTS_LEFT)
         told = connection.ask("orders", fleet=name, most=most, answer_bytes=most * (STOP_TEXT_MAX + 4))
-        for each in unsealed(self._fleet, told if isinstance(told, list) else ()):
+        for each in unsealed(self.fleet, told if isinstance(told, list) else ()):
             self._kept.put(each)
         self._starts = True
         if not self._stopped.wait(self._timing.listen_s + 5.0) or self._stop is None:
             raise HostError("left as it was: this machine is too busy to stop the fleet first")
-        order = packed(sealed(self._fleet, encode(self._stop)))
+        order = packed(sealed(self.fleet, encode(self._stop)))
         connection.exchange("order", order, fleet=name)
 
     def _settle(self, interrupt: Interrupt) -> None:
@@ -220,6 +280,45 @@ class BringUp:
             row.fail(f"{robots_words(gone)} came and went again: `handfast logs` says why")
 
     # ------------------------------------------------------------------ one host, in a thread of its own
+
+    def _bring_router(self, connection: HostConnection, row: Row) -> None:
+        """Brings the router of a host up, and nothing else, while the fleet cannot be heard."""
+
+        def say(text: str) -> None:
+            row.step = text
+
+        def before_changes() -> None:
+            self._refuse_unheard(connection)
+            self._before_changes(row.host)
+
+        if self._keys is not None:
+            say("asking which authority its robots have")
+            self._refuse_another_authority(self._keys, connection, self._jobs_first)
+        if self.fleet.router_on(row.host) is None:
+            row.done("waits for the routers")
+            return
+        prepared = prepare(
+            connection,
+            self.fleet,
+            self._text,
+            self._program,
+            say,
+            self._keys,
+            before_changes,
+            robots=False,
+        )
+        self._start_router(row, connection, prepared)
+        row.done("its router runs")
+
+    def _start_router(self, row: Row, connection: HostConnection, prepared: Prepared) -> None:
+        row.step = "starting its router"
+        start_router(
+            connection,
+            self.fleet.fleet.name,
+            prepared,
+            self._timing.present_s,
+            lambda: self._jobs.ended or self._jobs_first.ended,
+        )
 
     def _bring(self, connection: HostConnection, row: Row) -> None:
         def say(text: str) -> None:
@@ -244,17 +343,15 @@ class BringUp:
 
         if self._keys is not None:
             say("asking which authority its robots have")
-            self._refuse_another_authority(self._keys, connection)
-        prepared = prepare(
-            connection, self._fleet, self._text, self._program, say, self._keys, before_changes
-        )
+            self._refuse_another_authority(self._keys, connection, self._jobs)
+        prepared = prepare(connection, self.fleet, self._text, self._program, say, self._keys, before_changes)
         self.warnings += [f"{row.host}: {warning}" for warning in prepared.warnings]
         what = self._start(row, connection, prepared)
         row.step = "looking for what is left"
         self.warnings += [f"{row.host}: {warning}" for warning in self._left_over(connection, prepared)]
         row.done(f"up, {what}")
 
-    def _refuse_another_authority(self, keys: HostKeys, connection: HostConnection) -> None:
+    def _refuse_another_authority(self, keys: HostKeys, connection: HostConnection, jobs: HostJobs) -> None:
         """Raises `HostError` where the robots of a host have another authority; before this machine's has
         given any robot a certificate, also where those of any other host have: a fleet shall not have two."""
         is_first, name = keys.is_first, connection.host.name
@@ -265,9 +362,9 @@ class BringUp:
             raise
         finally:
             self._asked.add(name)
-        while is_first and not self._ruled and not self._jobs.ended:
-            known = [row for row in self.rows.values() if row.state != DOING or row.host in self._asked]
-            if len(known) >= min(len(self.rows), AT_ONCE_MAX):  # others begin when some of these have ended
+        while is_first and not self._ruled and not jobs.ended:
+            known = [row for row in jobs.rows.values() if row.state != DOING or row.host in self._asked]
+            if len(known) >= min(len(jobs.rows), AT_ONCE_MAX):  # others begin when some of these have ended
                 break
             time.sleep(self._timing.look_s)
         if is_first and self._ruled:
@@ -278,17 +375,18 @@ class BringUp:
 
     def _refuse_unheard(self, connection: HostConnection) -> None:
         """Raises `HostError` where the fleet is heard to stand, but a robot there says that it drives."""
-        units = connection.ask("status", fleet=self._fleet.fleet.name)["units"]
-        for robot in self._fleet.ids:
-            about = units.get(systemd_units.unit_name(self._fleet.fleet.name, robot, "agent"), {})
+        units = connection.ask("status", fleet=self.fleet.fleet.name)["units"]
+        for robot in self.fleet.ids:
+            about = units.get(systemd_units.unit_name(self.fleet.fleet.name, robot, "agent"), {})
             state = about.get("StatusText", "").partition(":")[0]
             if about.get("ActiveState") != "active" or state not in DRIVING_NAMES:
                 continue
-            if not self._arrivals.drives(robot) and self._replaces(connection):
+            drives = self._hears and self._arrivals.drives(robot)
+            if not drives and self._replaces(connection):
                 raise HostError(
                     f"left as it was: robot {robot} drives, by another authority: `handfast down` first"
                 )
-            if not self._arrivals.drives(robot):
+            if not drives:
                 raise HostError(
                     f"left as it was: robot {robot} drives, but is not heard here: `handfast stop` first, or "
                     "open the ports"
@@ -296,10 +394,11 @@ class BringUp:
             self._rolling = True  # it has begun just now
 
     def _start(self, row: Row, connection: HostConnection, prepared: Prepared) -> str:
-        """Has robots start that do not run as they should, and waits for all; says what was done."""
+        """Has those start that do not run as they should, and waits for all; says what was done."""
         starts = list(prepared.stale)
         left: list[int] = []
         since: dict[int, Mapping[str, float]] = {robot: {} for robot in row.robots}
+        problems = self._renew_router(row, connection, prepared)
         if self._rolling:
             left = self._one_at_a_time(row, connection, prepared)
             since = {robot: {} for robot in row.robots if robot not in starts or robot in left}
@@ -311,7 +410,6 @@ class BringUp:
                 self._lay_stop(connection)
             since |= self._restart(connection, prepared, starts)
         self._await(row, connection, since)
-        problems = []
         if lacking := [robot for robot in row.robots if robot not in row.outcomes]:
             problems.append(self._why(connection, lacking))
         if left:
@@ -319,7 +417,50 @@ class BringUp:
             problems.append(f"{robots_words(left)} left as before: {self._halted or 'interrupted'}")
         if problems:
             raise HostError("; ".join(problems))
-        return f"{robots_words(starts)} started" if starts else "nothing to do"
+        started = [robots_words(starts)] if starts else []
+        started += ["its router"] if prepared.stale_router else []
+        return f"{' and '.join(started)} started" if started else "nothing to do"
+
+    def _renew_router(self, row: Row, connection: HostConnection, prepared: Prepared) -> list[str]:
+        """Has the router of a host run as it should; says what is wrong then. While the fleet drives, one at
+        a time like the robots: the next one when all drive again that did before."""
+        router = self.fleet.router_on(row.host)
+        if router is None:
+            return []
+        try:
+            if not self._rolling or not prepared.stale_router:
+                self._start_router(row, connection, prepared)
+            elif not self._renew_router_in_turn(row, connection, prepared):
+                self.routers[router.number] = "left as before"
+                return [f"its router left as before: {self._halted or 'interrupted'}"]
+        except HostError as error:
+            self.routers[router.number] = "NOT UP"
+            return [str(error)]
+        self.routers[router.number] = "up"
+        return []
+
+    def _renew_router_in_turn(self, row: Row, connection: HostConnection, prepared: Prepared) -> bool:
+        row.step = "waiting for its turn to start its router again"
+        with self._turn:
+            if self._halted or self._jobs.ended:
+                return False
+            self._halted = f"the router on {row.host} did not come back"
+            drove = [robot for robot in self.fleet.ids if self._arrivals.drives(robot)]
+            self._start_router(row, connection, prepared)
+            begun = time.monotonic()
+            row.step = f"waiting for {robots_words(drove)} to drive again"
+            deadline, idle_due = begun + self._timing.present_s, begun + self._timing.idle_s
+            while time.monotonic() < deadline and not self._jobs.ended:
+                if self._arrivals.driving:
+                    idle_due = time.monotonic() + self._timing.idle_s
+                if time.monotonic() >= idle_due or all(
+                    self._arrivals.said_since(robot, begun) and self._arrivals.drives(robot)
+                    for robot in drove
+                ):
+                    self._halted = ""
+                    return True
+                time.sleep(self._timing.look_s)
+            raise HostError(f"{robots_words(drove)} did not all drive again after its router had started")
 
     def _one_at_a_time(self, row: Row, connection: HostConnection, prepared: Prepared) -> list[int]:
         """Has robots start again in their turns; gives those that were left as they were."""
@@ -351,7 +492,7 @@ class BringUp:
             By robot, since when which of its processes are new, of those that are heard on the bus.
         """
         begun = time.monotonic()
-        name = self._fleet.fleet.name
+        name = self.fleet.fleet.name
         if robots:
             texts = {unit: text for robot in robots for unit, text in prepared.units[robot].items()}
             connection.ask("units", wanted=texts)
@@ -416,7 +557,7 @@ class BringUp:
         self, connection: HostConnection, robots: Iterable[int], roles: Sequence[str] = ROLES
     ) -> dict[tuple[int, str], str]:
         """State of the systemd unit of each process (robot, role)."""
-        name = self._fleet.fleet.name
+        name = self.fleet.fleet.name
         names = {
             (robot, role): systemd_units.unit_name(name, robot, role) for robot in robots for role in roles
         }
@@ -425,7 +566,7 @@ class BringUp:
 
     def _why(self, connection: HostConnection, robots: Sequence[int]) -> str:
         """Why robots are not there: what their processes said last."""
-        needed = [role for role in systemd_units.roles(self._fleet) if role != systemd_units.RECORDER]
+        needed = [role for role in systemd_units.roles(self.fleet) if role != systemd_units.RECORDER]
         states = self._states(connection, robots, needed)
         wrong = {process: state for process, state in states.items() if state != "active"}
         lines = [self._last_words(connection, *process, state) for process, state in wrong.items()]
@@ -433,19 +574,19 @@ class BringUp:
         if silent:
             lines.append(
                 f"{robots_words(silent)}: running there, but not heard here: is the port open "
-                f"({self._fleet.agent_endpoint(silent[0])} and so on)?"
+                f"({self.fleet.agent_endpoint(silent[0])} and so on)?"
             )
         return "; ".join(lines)
 
     def _last_words(self, connection: HostConnection, robot: int, role: str, state: str) -> str:
-        unit = systemd_units.unit_name(self._fleet.fleet.name, robot, role)
+        unit = systemd_units.unit_name(self.fleet.fleet.name, robot, role)
         lines = connection.ask("last_lines", name=unit, count=1)
         return f"robot {robot}'s {role} is {state}{f': {lines[-1]}' if lines else ''}"
 
     def _left_over(self, connection: HostConnection, prepared: Prepared) -> list[str]:
         """Removes what nothing needs any more; says what is still wrong though all robots are there."""
         warnings = []
-        recorders = [role for role in systemd_units.roles(self._fleet) if role not in ROLES]
+        recorders = [role for role in systemd_units.roles(self.fleet) if role not in ROLES]
         try:
             for (robot, role), state in self._states(connection, prepared.stale, recorders).items():
                 if state not in ("active", "activating"):

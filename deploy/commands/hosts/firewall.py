@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
+from deploy.inventory.hosts import used_hosts
 
 if TYPE_CHECKING:
     from agent.fleet.model import Fleet
@@ -58,9 +59,9 @@ def _firewall(options: argparse.Namespace) -> int:
 
 def _known(fleet: Fleet, more: list[str]) -> list[str]:
     """Addresses, as numbers, of the fleet's hosts and routers, and of what was named."""
-    used = {robot.host for robot in fleet.robots}
-    names = {f"host {host.name}": host.address or host.name for host in fleet.hosts if host.name in used}
-    names |= {f"router {router}": router.rpartition(":")[0] for router in fleet.network.routers}
+    names = {f"host {host.name}": host.address or host.name for host in used_hosts(fleet)}
+    elsewhere = [router.where for router in fleet.routers if router.host is None]
+    names |= {f"router {where}": where.rpartition(":")[0] for where in elsewhere}
     names |= {f"--known {name}": name for name in more}
     found = []
     for what, name in names.items():

@@ -108,6 +108,7 @@ def _logs(options: argparse.Namespace) -> int:
             Reader(host, command(fleet, host, robots, since_s, options))
             for host in hosts
             if (robots := [robot for robot in robots_on(fleet, host) if robot in wanted])
+            or not options.robots
         ]
         try:
             for line in (
@@ -203,11 +204,16 @@ def command(
         words += ["-n", str(FOLLOWED_LINES if options.lines is None else options.lines)]
     if options.follow:
         words.append("-f")
-    processes = [(fleet.fleet.name, robot, role) for robot in robots for role in systemd_units.roles(fleet)]
+    name = fleet.fleet.name
+    units = [
+        systemd_units.unit_name(name, robot, role) for robot in robots for role in systemd_units.roles(fleet)
+    ]
+    if not options.robots and fleet.router_on(host.name) is not None:
+        units += [systemd_units.router_unit_name(name, role) for role in systemd_units.router_roles(fleet)]
     # What systemd says of a unit, and what its process says: by its own mark, since of a process that dies
     # the last lines are not known to be its unit's.
-    matches = [f"USER_UNIT={systemd_units.unit_name(*process)}" for process in processes]
-    matches += [f"SYSLOG_IDENTIFIER={systemd_units.identifier(*process)}" for process in processes]
+    matches = [f"USER_UNIT={unit}" for unit in units]
+    matches += [f"SYSLOG_IDENTIFIER={systemd_units.identifier(unit)}" for unit in units]
     return " ".join([*words, " + ".join(matches)])
 
 

@@ -214,7 +214,7 @@ def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: 
     from deploy.hosts import systemd_units
     from deploy.hosts.connection import HostConnection
     from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.status import HostStatus, host_status, process_row, robots_by_host
+    from deploy.hosts.status import HostStatus, expiries_on_hosts, host_status, process_row, router_rows
     from deploy.hosts.view import FAILED as HOST_FAILED
     from deploy.hosts.view import Row
     from deploy.inventory.expiry import operators
@@ -241,12 +241,12 @@ def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: 
         if row.state == HOST_FAILED:
             found[row.host].error = row.step
     now_s = time.time()
-    on_hosts = {name: row.robots for name, row in jobs.rows.items()}
-    expiries = [*operators(fleet, what), *robots_by_host(found, on_hosts, what)]
+    expiries = [*operators(fleet, what), *expiries_on_hosts(fleet, found, what)]
     rows = [
         process_row(fleet, robot, role, found[host.name], ears.statuses.get(robot), now_s)
         for host in hosts
         for robot in jobs.rows[host.name].robots
         for role in systemd_units.roles(fleet)
     ]
+    rows += [row for host in hosts for row in router_rows(fleet, host, found[host.name], now_s)]
     return Seen(rows, found, bodies, older, expiries=expiries)

@@ -146,6 +146,11 @@ def _say(work: BringUp, interrupt: Interrupt) -> int:
     """Says what became of each robot; the exit status."""
     from deploy.hosts.view import DONE as HOST_DONE
 
+    for router in work.fleet.routers:
+        row = work.rows.get(router.host or "")
+        if row is not None:
+            state = work.routers.get(router.number, f"NOT UP: {row.step}")
+            print(f"router {router.number} on {row.host}: {state}")
     for row in work.rows.values():
         for robot in row.robots:
             outcome = row.outcomes.get(robot, f"NOT UP: {row.step}")

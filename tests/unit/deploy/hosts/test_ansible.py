@@ -89,7 +89,7 @@ def ups(fleet: Fleet, host: HostSection, monkeypatch: pytest.MonkeyPatch) -> Ups
     """What `handfast up` brings to a host."""
     there = UpsHost(host)
     monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
-    keys = (lambda *_: None) if fleet.is_secured else None
+    keys = (lambda *_, robots: None) if fleet.is_secured else None
     prepare(there, fleet, robots_text(fleet), b"program", lambda _: None, keys, lambda: None)  # type: ignore[arg-type]
     return there
 
@@ -108,7 +108,32 @@ def test_a_host_gets_what_up_brings_it(security: str, monkeypatch: pytest.Monkey
         got = {name: rendered(text, version) for row in by_robot for name, text in row.items()}
         assert got == there.units
         assert len(got) == 9
+        assert not told["handfast_router_units"]
         assert of_all["handfast_fleet_path"] in there.files
+
+
+def test_a_host_with_a_router_gets_what_up_brings_it(monkeypatch: pytest.MonkeyPatch):
+    addresses = {"rover1": "10.0.0.1", "rover2": "10.0.0.2", "base": "10.0.0.9"}
+    hosts = {name: {"address": address} for name, address in addresses.items()}
+    routed = fleet(host=hosts, network={"routers": ["base", "rover2"]})
+    found = written(routed)
+    version = json.loads(found[f"group_vars/{GROUP}.json"])["handfast_bundles"][0]["version"]
+    assert set(json.loads(found["inventory.json"])["all"]["children"][GROUP]["hosts"]) == {
+        "base",
+        "rover1",
+        "rover2",
+    }
+    for name, units, number in (("base", 1, 1), ("rover2", 10, 2)):
+        (host,) = (each for each in routed.hosts if each.name == name)
+        told = json.loads(found[f"host_vars/{name}.json"])
+        wanted = [*told["handfast_units"].values(), told["handfast_router_units"]]
+        got = {unit: rendered(text, version) for row in wanted for unit, text in row.items()}
+        assert got == ups(routed, host, monkeypatch).units
+        assert len(got) == units
+        assert f"delta.router.{number}.crt" in got["handfast-delta-router.service"]
+        assert told["handfast_certified"][-1] == f"router.{number}"
+        asked = told["handfast_certificate_requests"][-1]["arguments"]
+        assert asked[asked.index("--router") + 1] == str(number)
 
 
 def test_the_operators_fleet_file_gives_robots_the_same_text(tmp_path: Path):

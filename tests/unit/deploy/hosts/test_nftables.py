@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deploy.hosts.nftables import ruleset
-from tests.unit.agent.fleet.test_hosts import fleet
+from tests.unit.agent.fleet.test_hosts import HOSTS, ROUTERS, fleet
 
 
 def test_it_knows_who_is_named_and_this_computer_itself():
@@ -30,6 +30,11 @@ def test_it_can_close_the_ports_to_all_devices_but_some():
     closed = lines.index('    tcp dport 7600-7603 iifname != { "lo", "wg0", "wg1" } drop')
     assert closed < next(k for k, line in enumerate(lines) if "jump opening" in line)
     assert "iifname" not in ruleset(fleet(), [])
+
+
+def test_the_port_of_routers_on_hosts_is_one_of_them():
+    assert "    tcp dport 7600-7604 tcp flags" in ruleset(fleet(HOSTS + ROUTERS % "left"), [])
+    assert "    tcp dport 7600-7603 tcp flags" in ruleset(fleet(HOSTS + ROUTERS % "a:7447"), [])
 
 
 def test_a_name_is_no_address():

@@ -117,11 +117,22 @@ def test_units_are_compared_and_nothing_is_written(home: Path, host: HostConnect
     assert compared(host, agent="a") == {"stale": [AGENT], "unwanted": [OTHER]}
     assert told(home) == [
         f"show --all --property=Id,ActiveState,Result,MainPID,NRestarts,StatusText,NeedDaemonReload -- "
-        f"handfast-two-robot-*.service {' '.join(path.name for path in units(home).glob('*-two-robot-*'))}"
+        f"handfast-two-robot-*.service handfast-two-router*.service "
+        f"{' '.join(path.name for path in units(home).glob('*-two-robot-*'))}"
     ], "systemd is asked once"
     host.ask("remove", names=[OTHER])
     assert f"stop {OTHER}" in told(home)
     assert sorted(path.name for path in units(home).iterdir()) == [AGENT, STRANGER]
+
+
+def test_a_router_and_its_proxy_are_units_of_the_fleet(home: Path, host: HostConnection) -> None:
+    names = ["handfast-two-router-admission.service", "handfast-two-router.service"]
+    others = ["handfast-two-router-robot-1-agent.service", "handfast-two-router-router.service"]
+    host.ask("units", wanted=dict.fromkeys([*names, *others], "a"))
+    assert compared(host, agent="a")["unwanted"] == names, "not those of a fleet named two-router"
+    show(home, 0, NeedDaemonReload="no")
+    assert sorted(host.ask("down", fleet="two")["stopped"])[-2:] == names
+    assert sorted(path.name for path in units(home).iterdir()) == others
 
 
 def test_a_file_that_systemd_has_not_read_counts_as_unwritten(home: Path, host: HostConnection) -> None:

@@ -12,20 +12,21 @@ from rich.console import Console
 
 from agent.messages.types import Status
 from agent.security.certificates import DAY_S
-from agent.security.identity import of_robot
+from agent.security.identity import of_robot, of_router
 from deploy.hosts.connection import Clock, HostError
 from deploy.hosts.status import (
     HostStatus,
+    expiries_on_hosts,
     host_rows,
     host_status,
     print_table,
     process_row,
-    robots_by_host,
+    router_rows,
 )
 from deploy.hosts.view import FAILED, INTERRUPTED, Lines, Row, Terminal
 from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
 from tests.trusted import NOW_S, authority, credentials
-from tests.unit.agent.fleet.test_hosts import fleet
+from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, ROUTERS, fleet
 
 FLEET = fleet()
 SKEW_S = FLEET.control.clock_skew_max_s
@@ -94,20 +95,40 @@ def test_how_long_certificates_hold(tmp_path: Path) -> None:
         "certificates": {f"{name}.robot.2.crt": pem, f"{name}.robot.1.crt": "half", "x": pem},
     }
     host = host_status(told, Clock(0.0, 0.1))
-    assert host.expiries == {2: NOW_S + CERTIFICATE_DAYS * DAY_S}
+    assert host.expiries == {of_robot(name, 2): NOW_S + CERTIFICATE_DAYS * DAY_S}
     days = {
         robot: process_row(FLEET, robot, "agent", host, None, NOW_S + 10 * DAY_S)["certificate_days"]
         for robot in (1, 2)
     }
     assert days == {2: CERTIFICATE_DAYS - 10, 1: None}
-    assert robots_by_host({"left": host}, {"left": (1,)}, "f.toml") == [], "it says so of another's"
-    (found,) = robots_by_host({"left": host}, {"left": (1, 2)}, "f.toml")
+    apart, together = fleet(), fleet(HOSTS, LEFT, LEFT)
+    assert expiries_on_hosts(apart, {"left": host}, "f.toml") == [], "it says so of another's"
+    (found,) = expiries_on_hosts(together, {"left": host}, "f.toml")
     assert found.warning(NOW_S) == ""
     late_s = NOW_S + (CERTIFICATE_DAYS - 3) * DAY_S
     assert (
         found.warning(late_s)
         == "the certificate of robot 2 expires in 3 days: `handfast up f.toml` renews it"
     )
+
+
+def test_a_router_on_a_host_has_a_row_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    routed = fleet(HOSTS + ROUTERS % "left")
+    left, right = routed.hosts
+    with authority(tmp_path, NOW_S, "two") as by:
+        pem = credentials(by, tmp_path / "r", of_router("two", "1")).files.certificate.read_text()
+    units = {"handfast-two-router.service": UNIT | {"StatusText": "router of two on tls/10.0.0.1:7604"}}
+    told = {"units": units, "load": 1.0, "certificates": {"two.router.1.crt": pem}}
+    host = host_status(told, Clock(0.0, 0.1))
+    (row,) = router_rows(routed, left, host, NOW_S)
+    assert (row["robot"], row["host"], row["role"], row["unit"]) == (None, "left", "router", "active")
+    assert row["certificate_days"] == CERTIFICATE_DAYS
+    assert router_rows(routed, right, host, NOW_S) == []
+    (found,) = expiries_on_hosts(routed, {"left": host, "right": host}, "f.toml")
+    assert found.who == "router 1"
+    print_table([row], {"left": host}, SKEW_S)
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "router of two" in line)
+    assert line.split()[:4] == ["-", "left", "router", "active"]
 
 
 def test_a_host_that_cannot_be_asked_is_unknown_not_down() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,8 @@ from agent.fleet.model import Fleet
 from agent.security.credentials import Files
 from agent.security.identity import of_robot
 from deploy.hosts import systemd_units
-from deploy.hosts.systemd_units import Places, arguments, roles, unit, unit_name
-from tests.unit.agent.fleet.test_hosts import FLEET
+from deploy.hosts.systemd_units import Places, arguments, roles, router_units, unit, unit_name
+from tests.unit.agent.fleet.test_hosts import FLEET, HOSTS, LEFT, RIGHT, ROUTERS
 
 PLACES = Places(
     "/r/versions/1",
@@ -49,6 +50,38 @@ def test_each_process_is_started_for_its_robot_from_the_installed_version():
     assert plant[-2:] == ["--pose-file", "/r/fleets/two/state/robot-1.pose"]
     assert "--pose-file" not in bridge
     assert recorder[-2:] == ["--folder", "/r/fleets/two/recordings/robot-1"]
+
+
+def test_a_router_is_started_with_its_own_key() -> None:
+    routed = parse_fleet(FLEET % (HOSTS + ROUTERS % "right", LEFT, RIGHT), source="here")
+    left, right = routed.hosts
+    places = replace(PLACES, keys="/r/fleets/two/keys")
+    assert router_units(routed, left, places) == {}
+    ((name, text),) = router_units(routed, right, places).items()
+    assert name == "handfast-two-router.service"
+    said = settings(text)
+    assert said["ExecStart"] == (
+        "/r/versions/1/bin/python -P -m agent.runtime.router --fleet /r/fleets/two/fleet.toml --number 1 "
+        "--keys /r/fleets/two/keys"
+    )
+    assert '# reads: ["/r/fleets/two/keys/two.router.1.crt"]' in text
+    assert "# writes: []" in text
+    assert (said["Restart"], said["SyslogIdentifier"]) == ("always", "handfast-two-router")
+    assert float(said["WatchdogSec"]) == systemd_units.WATCHDOG_S["router"]
+
+
+def test_a_proxy_before_a_router_has_none_of_its_keys() -> None:
+    closed = HOSTS.replace('listen = "0.0.0.0"\n', "") + ROUTERS % "right" + '\nadmission = "proxy"'
+    guarded = parse_fleet(FLEET % (closed, LEFT, RIGHT), source="here")
+    texts = router_units(guarded, guarded.hosts[1], replace(PLACES, keys="/r/fleets/two/keys"))
+    assert list(texts) == ["handfast-two-router.service", "handfast-two-router-admission.service"]
+    said = settings(texts["handfast-two-router-admission.service"])
+    assert said["ExecStart"].endswith(
+        "-m agent.admission --fleet /r/fleets/two/fleet.toml --router 1 --proven "
+        "/r/fleets/two/state/router.proven.json"
+    )
+    assert "-/r/fleets/two/keys" in said["InaccessiblePaths"]
+    assert said["Description"] == "handfast two: router 1's admission"
 
 
 def test_what_runs_can_be_read_from_the_file_again():
