@@ -12,16 +12,17 @@ import os
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 from types import TracebackType
 from typing import Any, Final, Literal
 
 import zenoh
 
 from agent.common.errors import Error
+from agent.common.time import NS_PER_S
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import inbox_size
-from agent.runtime.link_watch import LinkWatch
+from agent.runtime.link_watch import SOON_NS, LinkWatch
 from agent.runtime.tcp_linger import Lingering
 from agent.runtime.tcp_sockets import TcpSockets
 from agent.security.access_control import Security
@@ -88,7 +89,7 @@ def settings_of(
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
-        **({"connect/timeout_ms": round(link_timeout_s * 1000)} if mode == "client" else {}),
+        **({"connect/timeout_ms": _patience_ms(connect, link_timeout_s)} if mode == "client" else {}),
         "connect/retry": {
             "period_init_ms": retry_ms[0],
             "period_max_ms": retry_ms[1],
@@ -117,6 +118,12 @@ def settings_of(
     if security is not None:
         settings |= security.settings()
     return settings
+
+
+def _patience_ms(routers: Sequence[str], link_timeout_s: float) -> int:
+    """How long Zenoh is to try the first router of these again and again before it gives up. Of several it
+    tries each once without that, and `LinkWatch` has it give up one that does not answer."""
+    return round(link_timeout_s * 1000) if len(routers) < 2 else 0
 
 
 def _config(settings: dict[str, Any]) -> zenoh.Config:
@@ -243,7 +250,7 @@ class Bus:
         self._near_keys = near
         self._robots = robots
         self._sockets, self._lingering = TcpSockets(), Lingering()
-        self._watch = LinkWatch(listen, [*connect, *routers], link_timeout_s, _open_links)
+        self._watch = LinkWatch(listen, [*connect, *routers], link_timeout_s, _open_links, routers)
         self._look_due_ns = 0
         self._were_deaf: list[str] = []
         self._reopened_ns: dict[str, int] = {}
@@ -251,7 +258,8 @@ class Bus:
             if listen or connect or not routers:
                 self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, retry_ms))
             if routers:
-                self._sessions.append(_open_client(routers, security, go_on_waiting, link_timeout_s))
+                with self._looking() if len(routers) > 1 else nullcontext():
+                    self._sessions.append(_open_client(routers, security, go_on_waiting, link_timeout_s))
         except BaseException:
             self.close()
             raise
@@ -281,6 +289,24 @@ class Bus:
                 _close(session)
         finally:
             closed.set()
+            thread.join()
+
+    @contextmanager
+    def _looking(self) -> Iterator[None]:
+        """Within it links are looked at by a thread: this one waits for a router, and the one that is tried
+        first may be there and not answer."""
+        opened = threading.Event()
+
+        def look() -> None:
+            while not opened.wait(SOON_NS / NS_PER_S):
+                self._watch.look(self._sockets.look() or (), time.monotonic_ns())
+
+        thread = threading.Thread(target=look)
+        thread.start()
+        try:
+            yield
+        finally:
+            opened.set()
             thread.join()
 
     def _give_up_until(self, closed: threading.Event) -> None:

@@ -32,7 +32,7 @@ from agent.runtime.tcp_sockets import TcpSocket, borrowed, held
 PERIOD_NS: Final = NS_PER_S // 2
 """How often all links are looked at."""
 SOON_NS: Final = NS_PER_S // 10
-"""While links are opened, or something waits on one."""
+"""While links are opened or lacking, or something waits on one."""
 DEAF_NS: Final = 3 * NS_PER_S // 4
 """So long nothing is read from a deaf link."""
 PATIENCE_MAX: Final = 4
@@ -77,6 +77,7 @@ class LinkWatch:
         timeout_s: a link on which nothing new comes for so long while it is opened is shut down; for one that
             is connected, when that was so before, some times as long.
         opened: own addresses (``HOST:PORT``) of all links of this process that are open.
+        one_of: endpoints to one of which there should be a link at any time.
 
     Attributes:
         period_ns: when to look again.
@@ -88,7 +89,9 @@ class LinkWatch:
         connect: Iterable[str],
         timeout_s: float,
         opened: Callable[[], Collection[str]],
+        one_of: Collection[str] = (),
     ) -> None:
+        self._one_of = frozenset(one_of)
         self._ports = {port for _, port in map(_parts, listen)}
         self._connect = [(*_parts(endpoint), endpoint) for endpoint in connect]
         self._timeout_ns = round(timeout_s * NS_PER_S)
@@ -133,6 +136,8 @@ class LinkWatch:
                     opening.append((each, link))
         if opening:
             self._look_at_opening(opening, now_ns)
+        if self._one_of and not waits:
+            waits = all(link is None or link.endpoint not in self._one_of for link in self._links.values())
         self.period_ns = SOON_NS if waits else PERIOD_NS
         return deaf
 

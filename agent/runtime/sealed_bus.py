@@ -158,8 +158,11 @@ def bus_for(
         keep_seals, whenever: as of a `SealedBus`.
     """
     routers = fleet.router_endpoints if through_routers else ()
-    # Robots find each other again within a second; an operator may be far away, and has the time.
-    link_timeout_s = fleet.network.link_timeout_s if listen else LINK_TIMEOUT_S
+    # Robots find each other again within a second; an operator may be far away, and has the time, for all
+    # routers together.
+    link_timeout_s = fleet.network.link_timeout_s
+    if not listen:
+        link_timeout_s = max(link_timeout_s, LINK_TIMEOUT_S / max(1, len(routers)))
     if identity is None or folder is None:
         return Bus(
             listen=listen,

@@ -11,18 +11,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import tomli_w
 
+from agent.fleet.hosts import HostSection
 from agent.fleet.loading import to_dict
 from agent.messages import key_expressions
 from agent.security.access_control import tls_settings
 from agent.security.credentials import Files
-from agent.security.identity import Identity, of_robot
+from agent.security.identity import Identity, of_robot, of_router
 from deploy.inventory.certificate_authority import Authority
 from deploy.processes.ports import Reservation
 from tests.process.attackers import attacks
@@ -206,6 +207,45 @@ def test_without_its_memory_it_begins_anew(behind: Behind) -> None:
     behind.begin()
     behind.refuses("begins without knowing who had a certificate")
     behind.dialling(2).hears(1)
+
+
+def test_the_router_of_a_host_has_one_too(behind: Behind, tmp_path: Path) -> None:
+    network = replace(behind.fleet.network, routers=("base",))
+    routed = replace(behind.fleet, network=network, hosts=(HostSection("base", OUTSIDE),))
+    (place,) = routed.routers
+    file = tmp_path / "routed.toml"
+    file.write_text(tomli_w.dumps(to_dict(routed)))
+    router = of_router(FLEET)
+    folder = behind.make(router, behind.by, "router")
+    errors = tmp_path / "router.stderr"
+    with ExitStack() as stack:
+        proxy = stack.enter_context(
+            subprocess.Popen(
+                [sys.executable, "-P", "-m", "agent.admission", "--fleet", str(file), "--router", "1"],
+                stdin=subprocess.DEVNULL,
+                stderr=stack.enter_context(open(errors, "wb")),
+                env=environment(),
+                start_new_session=True,
+            )
+        )
+        stack.callback(proxy.kill)
+        wait_for(lambda: "lets connections through" in errors.read_text(), "it begins")
+        stack.enter_context(Guarded(folder, router, [f"tls/{place.listens}"], []))
+        two, three = (
+            stack.enter_context(
+                Guarded(tmp_path / f"robot-{robot}", of_robot(FLEET, robot), [], [], [f"tls/{place.where}"])
+            )
+            for robot in (2, 3)
+        )
+        two.hears(3)
+        three.hears(2)
+        for each in (two, three):
+            each.end()
+        proxy.terminate()
+        assert proxy.wait(10.0) == 0
+    said = errors.read_text()
+    assert said.startswith(f"router 1 admission: lets connections through on tls/{place.where}\n")
+    no_trouble(said, "the proxy's log")
 
 
 def test_what_it_cannot_do_is_said(behind: Behind) -> None:

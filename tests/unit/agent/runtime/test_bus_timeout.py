@@ -12,7 +12,7 @@ import pytest
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.runtime import sealed_bus
-from agent.runtime.bus import LINK_TIMEOUT_S, Bus, settings_of
+from agent.runtime.bus import LINK_TIMEOUT_S, Bus, BusError, Router, settings_of
 from agent.runtime.sealed_bus import bus_for
 from deploy.console.arguments import fleet_path
 
@@ -55,6 +55,21 @@ def test_a_peer_that_does_not_answer_is_dialled_again() -> None:
                     dialled.append(time.monotonic())
                 list(bus.drain())  # as a process does in each of its ticks
     assert dialled[1] - dialled[0] < LINK_TIMEOUT_S
+
+
+def test_the_second_router_is_tried_though_the_first_does_not_answer() -> None:
+    """Zenoh itself would try the first again and again."""
+    with socket.create_server(("127.0.0.1", 0)) as silent, socket.create_server(("127.0.0.1", 0)) as found:
+        first, second = (f"tcp/127.0.0.1:{each.getsockname()[1]}" for each in (silent, found))
+        found.close()
+        with Router([second], [], None), Bus(listen=[], connect=[], routers=[first, second]) as bus:
+            assert [str(link.dst) for link in bus._far.info.links()] == [second]
+
+
+def test_no_router_of_several_is_an_error_at_once() -> None:
+    with pytest.raises(BusError, match=r"no router answers at tcp/127\.0\.0\.1:1 or tcp/127\.0\.0\.1:2"):
+        Bus(listen=[], connect=[], routers=["tcp/127.0.0.1:1", "tcp/127.0.0.1:2"])
+    assert settings_of("client", [], ["tcp/a:1", "tcp/b:1"], None, 0.25)["connect/timeout_ms"] == 0
 
 
 def test_a_session_is_closed_though_a_peer_does_not_answer() -> None:

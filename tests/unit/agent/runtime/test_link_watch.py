@@ -136,6 +136,20 @@ def test_while_something_waits_it_looks_more_often(bench: Bench) -> None:
     assert bench.opener.period_ns == PERIOD_NS
 
 
+def test_while_there_is_no_link_to_any_router_it_looks_more_often(bench: Bench) -> None:
+    watch = LinkWatch([], [bench.endpoint], TIMEOUT_S, lambda: bench.opened, one_of=[bench.endpoint])
+    bench.look(watch)
+    assert watch.period_ns == SOON_NS
+    near, far = bench.connect()
+    for _ in range(2):
+        bench.look(watch)
+    assert watch.period_ns == PERIOD_NS
+    near.close()
+    far.close()
+    bench.look(watch)
+    assert watch.period_ns == SOON_NS
+
+
 def test_a_link_that_is_not_answered_is_shut_down_and_the_next_has_more_time(bench: Bench) -> None:
     lasted = []
     for _ in range(4):

@@ -126,6 +126,21 @@ def test_robots_with_a_host_are_given_theirs_by_up(tmp_path: Path) -> None:
         assert list(keys_command._void("f.toml", fleet, by)) == ["void: robots 1, 2; `handfast up f.toml`"]
 
 
+def test_routers_of_hosts_are_given_theirs_by_up(tmp_path: Path, run: Run) -> None:
+    name = "few"
+    fleet = replace(square(), hosts=(HostSection("left"),))
+    fleet = replace(fleet, robots=tuple(replace(robot, host="left") for robot in fleet.robots))
+    routed = replace(fleet, network=replace(fleet.network, topology="routed"))
+    with Authority(tmp_path, name, fleet.ids, time.time()) as by:
+        identity = of_router(name, "1")
+        by.sign(identity, make_request(tmp_path, identity), (), time.time())
+        by.replace(time.time())
+        assert list(keys_command._void("f.toml", routed, by)) == ["void: router 1; `handfast up f.toml`"]
+        assert list(keys_command._void("f.toml", fleet, by)) == [], "nobody asks for it any more"
+    with pytest.raises(InputError, match="those on hosts get theirs from `handfast up`"):
+        run("--router")
+
+
 def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     begun_s = time.time()
     run()

@@ -24,7 +24,7 @@ from deploy.console.data_files import FLEETS
 from deploy.console.interrupt import Interrupt
 from deploy.inventory import registry, ssh
 from deploy.inventory.registry import Registration
-from tests.unit.agent.fleet.test_hosts import fleet
+from tests.unit.agent.fleet.test_hosts import HOSTS, ROUTERS, fleet
 
 
 def reader(host: str, *times_us: int) -> Reader:
@@ -40,6 +40,16 @@ def test_logs_of_several_hosts_come_in_the_order_of_time() -> None:
     assert [line.time_us for line in logs_command.merged(readers, 1, Interrupt())] == [5, 9], (
         "the last of each host"
     )
+
+
+@pytest.mark.parametrize(("robots", "is_asked"), [([], True), ([1], False)])
+def test_what_a_router_said_is_asked_for_unless_robots_are_named(robots: list[int], is_asked: bool) -> None:
+    routed = fleet(HOSTS + ROUTERS % "left")
+    asked = argparse.Namespace(robots=robots, lines=None, follow=False)
+    words = logs_command.command(routed, routed.hosts[0], [1], None, asked)
+    assert ("SYSLOG_IDENTIFIER=handfast-two-router" in words) == is_asked
+    assert "USER_UNIT=handfast-two-robot-1-agent.service" in words
+    assert "router" not in logs_command.command(routed, routed.hosts[1], [2], None, asked)
 
 
 def test_lines_that_are_followed_wait_for_earlier_ones(monkeypatch: pytest.MonkeyPatch) -> None:
