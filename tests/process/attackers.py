@@ -12,7 +12,7 @@ from functools import cache
 from itertools import zip_longest
 from math import nan
 from struct import pack
-from typing import Any, Final
+from typing import Any, Final, Literal
 from zlib import crc32
 
 import msgpack
@@ -60,10 +60,12 @@ CUT: Final = '[[faults.rule]]\nloss = "100%"\n'
 
 
 @contextmanager
-def attacks(endpoints: Sequence[str], settings: dict[str, Any]) -> Iterator[zenoh.Session]:
+def attacks(
+    endpoints: Sequence[str], settings: dict[str, Any], mode: Literal["peer", "client"] = "peer"
+) -> Iterator[zenoh.Session]:
     """A session that does not check what it hears, and does not mind what it sends."""
     made = zenoh.Config()
-    base = settings_of("peer", [], endpoints, None) | settings
+    base = settings_of(mode, [], endpoints, None) | settings
     free = {"access_control": {"enabled": False}, "low_pass_filter": []}
     for path, value in (base | free).items():
         made.insert_json5(path, json.dumps(value))

@@ -31,6 +31,11 @@ from tests.process.harness import ADDRESS, PATIENCE_S, Command, environment, las
 BASE_PORT: Final = 21_120
 """Tests look for ports from here on: clear of the bundled fleets' own."""
 MISSION_PERIOD_S: Final = 0.2
+ROUTERS: Final = 2
+ROUTER: Final = "router"
+"""The role of a router's process, with its number in the place of a robot's."""
+ROUTED: Final = 'network.topology="routed"'
+"""The override that has a fleet's processes linked to routers."""
 T = TypeVar("T")
 
 
@@ -42,10 +47,14 @@ def make_fleet(base: str = "pair", *overrides: str) -> Fleet:
 
 @contextmanager
 def placed(fleet: Fleet, address: str = ADDRESS) -> Iterator[Fleet]:
-    """`fleet` on ports that no other test or run has, reserved while the context lasts."""
-    ports = Reservation(ADDRESS, BASE_PORT, 2 * len(fleet.robots))
+    """`fleet` on ports that no other test or run has, reserved while the context lasts; with `ROUTERS`
+    routers where it is routed."""
+    of_robots, of_routers = 2 * len(fleet.robots), ROUTERS if fleet.is_routed else 0
+    ports = Reservation(ADDRESS, BASE_PORT, of_robots + of_routers)
+    routers = tuple(f"{ADDRESS}:{ports.base + of_robots + k}" for k in range(of_routers))
+    network = replace(fleet.network, address=address, base_port=ports.base, routers=routers)
     try:
-        yield replace(fleet, network=replace(fleet.network, address=address, base_port=ports.base))
+        yield replace(fleet, network=network)
     finally:
         ports.close()
 
@@ -91,7 +100,11 @@ class Robots:
             for robot in fleet.ids
             for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot))
         ]
-        self.bus = Bus(listen=[], connect=endpoints)
+        self.start_routers()
+        routers = fleet.router_endpoints
+        self.bus = Bus(
+            listen=[], connect=() if routers else endpoints, routers=routers, go_on_waiting=lambda: True
+        )
         for key in (key_expressions.mission(self.name), key_expressions.ask(self.name)):
             self.bus.declare(key)
         self.bus.subscribe(key_expressions.everything(self.name), 65_536)
@@ -111,7 +124,8 @@ class Robots:
     # ---------------------------------------------------------------- processes
 
     def log(self, robot: int, role: str) -> Path:
-        return self.folder / "logs" / f"robot-{robot}-{role}.log"
+        whose = f"router-{robot}" if role == ROUTER else f"robot-{robot}-{role}"
+        return self.folder / "logs" / f"{whose}.log"
 
     def start(self, robot: int, role: str, *more: str) -> None:
         """Starts one process, which finds the orders that it kept; `more` are further arguments."""
@@ -131,6 +145,16 @@ class Robots:
             )
         self.processes[robot, role] = process
         self._all.append(process)
+
+    def start_routers(self) -> None:
+        """Starts the routers, if the fleet has any."""
+        for router in self.fleet.routers:
+            self.start_router(router.number)
+
+    def start_router(self, number: int) -> None:
+        self.run(
+            number, ROUTER, "agent.runtime.router", "--fleet", str(self.fleet_file), "--number", str(number)
+        )
 
     def start_all(self) -> None:
         for robot in self.fleet.ids:

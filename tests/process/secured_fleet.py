@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Any, Final
 
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
@@ -20,9 +20,9 @@ from agent.runtime.bus import Bus
 from agent.runtime.sealed_bus import gate_of
 from agent.security.access_control import Security
 from agent.security.credentials import Files, load
-from agent.security.identity import MAIN, Identity, of_operator, of_robot
+from agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
 from deploy.inventory.certificate_authority import Authority
-from tests.process.fleet_harness import Robots, placed
+from tests.process.fleet_harness import ROUTER, Robots, placed
 from tests.process.harness import ADDRESS
 from tests.process.small_fleets import TRIANGLE
 from tests.trusted import authority, credentials
@@ -42,7 +42,8 @@ class Keys:
         self.now_s = time.time()
         self._by = authority(folder / "authority", self.now_s - AGO_S, self.name)
         self._other = authority(folder / "other-authority", self.now_s, self.name)
-        for identity in (*map(self.robot, fleet.ids), self.operator(), self.operator(EAR)):
+        routers = [of_router(self.name)] if fleet.routers else []
+        for identity in (*map(self.robot, fleet.ids), self.operator(), self.operator(EAR), *routers):
             self.give(identity, self.now_s)
 
     def __enter__(self) -> Keys:
@@ -107,7 +108,9 @@ class Ear(Bus):
         found = load(at.of(identity), identity, at.now_s)
         self._gate = gate_of(fleet, found, lambda _: None)
         self.given: dict[str, bytes] = {}
-        super().__init__(listen=[], connect=connect, security=at.security(identity))
+        ends: dict[str, Any] = {"listen": [], "connect": () if fleet.routers else connect}
+        routers = fleet.router_endpoints
+        super().__init__(**ends, routers=routers, security=at.security(identity), go_on_waiting=lambda: True)
 
     def publish(self, key: str, payload: bytes) -> None:
         sealed = self._gate.let_out(key, payload, time.time_ns())
@@ -139,6 +142,7 @@ class SecuredRobots(Robots):
             **{(robot, "agent"): fleet.agent_endpoint(robot) for robot in fleet.ids},
             **{(robot, "plant"): fleet.plant_endpoint(robot) for robot in fleet.ids},
         }
+        self.start_routers()
         self.bus = self.ear = Ear(fleet, self.keys, list(self.endpoints.values()))
         for key in (key_expressions.mission, key_expressions.stop, key_expressions.resume):
             self.bus.declare(key(self.name))
@@ -163,6 +167,11 @@ class SecuredRobots(Robots):
             self.run(robot, role, "tests.process.taken_over", self._path, *arguments)
         else:
             self.run(robot, role, role, *arguments)
+
+    def start_router(self, number: int) -> None:
+        keys = str(self.keys.of(of_router(self.name)))
+        arguments = ("--fleet", str(self.fleet_file), "--number", str(number), "--keys", keys)
+        self.run(number, ROUTER, "agent.runtime.router", *arguments)
 
     def says(self, key: str, payload: bytes) -> None:
         """The agent that was taken over says something; without payload, that `key` lives and is gone."""

@@ -244,6 +244,9 @@ class Hostile:
             for robot in ids
             for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot))
         ]
+        self._routers = fleet.router_endpoints
+        self._own: set[tuple[str, bytes]] = set()
+        """What it has put: a router brings that to its ear, too."""
         self._heard: list[tuple[float, str, bytes]] = []
         self._stop = threading.Event()
         self._failure: BaseException | None = None
@@ -251,10 +254,11 @@ class Hostile:
 
     def __enter__(self) -> Hostile:
         # Its own configuration would do; the product's keeps it to the endpoints that it is told.
-        self._bus = Bus(listen=[], connect=self._endpoints)
+        ends: dict[str, Any] = {"listen": [], "connect": [] if self._routers else self._endpoints}
+        self._bus = Bus(**ends, routers=self._routers)
         self._session: Any = self._bus._far
         # A session hears itself, and peers do not relay: a second one hears the fleet and no garbage.
-        self._ear = Bus(listen=[], connect=self._endpoints)
+        self._ear = Bus(**ends, routers=self._routers)
         self._ear.subscribe(f"{self._keys[0].partition('/')[0]}/**", 4096)
         self._thread.start()
         return self
@@ -277,12 +281,14 @@ class Hostile:
             self._failure = error
 
     def _put(self, key: str, payload: bytes) -> None:
+        if self._routers:
+            self._own.add((key, payload))
         self._session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
         self.sent += 1
 
     def _round(self) -> None:
         draw, now_s = self._random, time.monotonic()
-        fresh = [(now_s, *each) for each in self._ear.drain()]
+        fresh = [(now_s, *each) for each in self._ear.drain() if each not in self._own]
         for _, key, payload in fresh[-20:]:
             self._put(key, payload)  # at once, and word for word
         self._heard += fresh
@@ -373,27 +379,29 @@ class Hostile:
 def throw_at_ports(fleet: Fleet, seed: int) -> None:
     """Bytes that are not Zenoh's at every port, as a port scanner sends them."""
     draw = random.Random(seed)
-    for robot in fleet.ids:
-        for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot)):
-            port = int(endpoint.rpartition(":")[2])
-            for payload in (
-                b"",
-                b"GET / HTTP/1.0\r\n\r\n",
-                draw.randbytes(2000),
-                b"\xff\xff" + bytes(70_000),
-            ):
-                with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0) as link:
-                    link.sendall(payload)
+    own = [each(robot) for robot in fleet.ids for each in (fleet.agent_endpoint, fleet.plant_endpoint)]
+    for endpoint in (*own, *fleet.router_endpoints):
+        port = int(endpoint.rpartition(":")[2])
+        for payload in (
+            b"",
+            b"GET / HTTP/1.0\r\n\r\n",
+            draw.randbytes(2000),
+            b"\xff\xff" + bytes(70_000),
+        ):
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0) as link:
+                link.sendall(payload)
 
 
-def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("topology", ["mesh", "routed"])
+def test_garbage_on_every_key_changes_nothing(tmp_path: Path, topology: str) -> None:
     seed = 20_080_704
     # On a busy machine the garbage shall be judged, not the scheduler.
     arguments = ("pair", "--duration", f"{SECONDS:g}", *BUSY, "--no-report", "--out", "out")
     with Command(tmp_path / "simulated", "simulate", *arguments) as command:
         assert command.wait() == 0, command.told()
-    with Command(tmp_path, "run", *arguments, "--set", "network.base_port=21120") as command:
-        command.wait_for_line("starting 2 agents")
+    network = ("--set", "network.base_port=21120", "--set", f'network.topology="{topology}"')
+    with Command(tmp_path, "run", *arguments, *network) as command:
+        command.wait_for_line("all 4 processes" if topology == "routed" else "starting 2 agents")
         fleet = load_fleet(tmp_path / "out" / "fleet.toml")
         with Hostile(fleet, seed, pause_s=0.02) as hostile:
             command.wait_for_line("all 4 processes alive")

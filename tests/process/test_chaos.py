@@ -15,6 +15,7 @@ from deploy.recording.mcap_reader import read_run
 from tests.process.harness import BUSY, Command, no_trouble_in_logs
 
 NETWORK = ("--set", "network.base_port=21120")
+ROUTED = ("--set", 'network.routers=["10.0.0.1:7447", "10.0.0.2:7447"]')
 ROBOTS = (1, 2, 3, 4, 5, 6)
 DURATION_S = 40
 TROUBLE_S = 17.0
@@ -40,16 +41,17 @@ def scenario(seed: int) -> str:
     return "\n".join(f'[[faults.rule]]\nname = "chaos {k}"\n{rule}' for k, rule in enumerate(rules))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_every_oracle_holds(tmp_path: Path, seed: int) -> None:
+@pytest.mark.parametrize(("seed", "network"), [(1, ()), (2, ROUTED)], ids=["mesh", "routed"])
+def test_every_oracle_holds(tmp_path: Path, seed: int, network: tuple[str, ...]) -> None:
     print(f"seed {seed}")
     rules = tmp_path / "rules.toml"
     rules.write_text(scenario(seed))
     print(rules.read_text())
     arguments = ("run", "delta", "--duration", str(DURATION_S), "--faults", str(rules), "--out", "out")
-    with Command(tmp_path, *arguments, "--no-report", *NETWORK, *BUSY) as run:
+    with Command(tmp_path, *arguments, "--no-report", *NETWORK, *network, *BUSY) as run:
         run.wait_for_line("all 12 processes alive", 60.0)
         assert len(run.children()) == 12
+        assert ("through 2 routers" in run.err) == bool(network)
         status = run.wait(DURATION_S + 60.0)
         assert status == 0, run.told()
     folder = tmp_path / "out"

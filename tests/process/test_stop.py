@@ -6,6 +6,8 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
+
 from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
@@ -57,8 +59,9 @@ def known_stop(fleet: Robots) -> Stop:
     return found
 
 
-def test_stop_holds_until_resume_whatever_comes_between(tmp_path: Path) -> None:
-    with all_ready(triangle(), tmp_path / "r") as fleet:
+@pytest.mark.parametrize("topology", ["mesh", "routed"])
+def test_stop_holds_until_resume_whatever_comes_between(tmp_path: Path, topology: str) -> None:
+    with all_ready(triangle(f'network.topology="{topology}"'), tmp_path / "r") as fleet:
         fleet.drive()
         moves(fleet, *fleet.members)
         status, stopped_ns, out = stop(fleet)
