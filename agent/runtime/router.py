@@ -23,6 +23,7 @@ from agent.fleet.model import Fleet, FleetError
 from agent.messages.key_expressions import alive, robot_of_alive
 from agent.runtime.bus import BusError, Router, init_log
 from agent.runtime.certificate_wait import wait_until_valid
+from agent.runtime.listening_gate import Gate
 from agent.runtime.process import DIALLED, Log, Shutdown
 from agent.runtime.sealed_bus import secured
 from agent.runtime.systemd_notify import SystemdNotifier
@@ -97,6 +98,9 @@ def serve(
         router = stack.enter_context(Router([listen], connect, security, fleet.network.link_timeout_s))
         about = f"router of {fleet.fleet.name} on {listen}{', secured' if security else ', not secured'}"
         log(about)
+        gate = stack.enter_context(Gate(len(fleet.robots)))
+        if gate.trouble:
+            log(gate.trouble)
         presence = router.watch(alive(fleet.fleet.name, "*", "*")) if talks else None
         service.ready()
         service.says(about)
@@ -109,6 +113,8 @@ def serve(
                 log(line)
             for endpoint in router.look(now_ns):
                 log(f"was deaf to {endpoint or DIALLED}: link opened anew")
+            if knocked := gate.look(now_ns):
+                log(knocked)
             service.lives(now_ns)
             time.sleep(POLL_S)
         service.stopping()

@@ -75,7 +75,9 @@ def _describe_network(fleet: Fleet) -> Iterator[str]:
     for host in fleet.hosts:
         there = [robot.id for robot in fleet.robots if robot.host == host.name]
         address = f" ({host.address})" if host.address else ""
-        yield f"  host {host.name}{address}: {robots(there) if there else 'no robot'}"
+        router = fleet.router_on(host.name)
+        beside = f", router {router.number}" if router else ""
+        yield f"  host {host.name}{address}: {robots(there) if there else 'no robot'}{beside}"
 
 
 def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:

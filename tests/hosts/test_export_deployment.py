@@ -1,4 +1,5 @@
-"""The folder of `handfast export-deployment`, played on two hosts. Each test goes on from the one before."""
+"""The folder of `handfast export-deployment`, played on two hosts, of which the first has the fleet's router.
+Each test goes on from the one before."""
 
 from __future__ import annotations
 
@@ -91,6 +92,7 @@ def tables(hosts: Hosts) -> dict[str, Any]:
         "formation": {"edges": [[1, 2]], "distance_m": 1.0, "safe_distance_m": 0.2},
         "control": {"wrench_timeout_s": 0.5, "plant_timeout_s": 0.5},
         "trajectory": {"kind": "hold"},
+        "network": {"routers": [hosts[0].name]},
         "host": {host.name: {"address": host.address} for host in hosts},
         "robot": [
             {"id": k + 1, "x_m": 1.0 * k, "y_m": 0.0, "host": host.name, "reserve": k > 1}
@@ -135,7 +137,7 @@ def test_it_brings_up_what_it_can_reach(deployment: Deployment) -> None:
     fleet.hosts[1].restore()
     told = recap(said)
     assert (told["host1"]["failed"], told["host2"]["unreachable"]) == (0, 1)
-    assert [row["unit"] for row in fleet.status().values()] == ["active"] * 3 + ["none"] * 3
+    assert [row["unit"] for row in fleet.status().values()] == ["active"] * 3 + ["none"] * 3 + ["active"]
 
 
 def test_it_brings_up_the_rest(deployment: Deployment) -> None:
@@ -155,7 +157,7 @@ def test_it_brings_up_the_rest(deployment: Deployment) -> None:
         keys = host.home / ".local/share/handfast/fleets/pair/keys"
         assert keys.stat().st_mode & 0o777 == 0o700
         secrets = [path.read_text() for path in keys.glob("*.key")]
-        assert len(secrets) == 1
+        assert len(secrets) == 1 + (host is fleet.hosts[0]), "its robot's, and its router's"
         here = [path for path in deployment.folder.rglob("*") if path.is_file()]
         assert not any(secrets[0].strip().encode() in path.read_bytes() for path in here)
 
