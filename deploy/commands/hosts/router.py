@@ -23,9 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast router`` takes."""
     describe(
         parser,
-        ": one of those that [network] routers names as HOST:PORT (those on hosts of the fleet are started by "
-        "`handfast up`). In a secured fleet it needs a certificate: `handfast keys FLEET --router --address A`. Exit status: 1 its "
-        "port cannot be had; 2 bad input; 130 after Ctrl-C.",
+        ": one of those that [network] routers names as HOST:PORT; `handfast up` starts those on hosts of "
+        "the fleet. In a secured fleet it needs a certificate: `handfast keys FLEET --router --address A`. "
+        "Exit status: 1 its port cannot be had; 2 bad input; 130 after Ctrl-C.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="fleet file with [network] routers")
     parser.add_argument(
