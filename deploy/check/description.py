@@ -21,7 +21,7 @@ from agent.links.fault_plan import FaultPlan
 from deploy.analysis.couplings import coupling_of, law_of
 from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
-from deploy.check.network import describe_links
+from deploy.check.network import describe_links, describe_topology
 from deploy.check.safety import parting
 from deploy.console.wording import robots, some
 from deploy.faults.wording import defaults, described, words
@@ -57,6 +57,7 @@ def describe(fleet: Fleet) -> str:
     lines += [f"  {line}" for line in _describe_vehicles(fleet)]
     lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines += [f"  {line}" for line in _describe_network(fleet)]
+    lines.append(f"  topology: {describe_topology(fleet)}")
     lines.append(f"  links: {describe_links(fleet)}")
     return "\n".join(lines)
 

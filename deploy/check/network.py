@@ -48,28 +48,34 @@ def load_of(fleet: Fleet) -> Load:
 
 
 def describe_links(fleet: Fleet) -> str:
-    """The topology, and what it carries, in a line."""
-    load, text = load_of(fleet), _topology(fleet)
+    """What the network carries, in a line."""
+    load = load_of(fleet)
+    places = [router.where if router.host is None else router.host for router in fleet.routers]
+    if not fleet.is_routed:
+        text = "a mesh"
+    elif places:
+        text = f"routed by {' or '.join(places)}"
+    else:
+        text = "routed by a router that `handfast run` starts"
     heard = [(load.hands, "hand states"), (load.beacons, "beacons"), (load.own, "states of its plant")]
     text += f": {load.links} link{'s' * (load.links != 1)}; a robot hears "
     text += f"{', '.join(f'{rate:.0f} {what}' for rate, what in heard if rate)} a second"
     return text + (f", routers pass on {load.routed:.0f}" if load.routed else "")
 
 
-def _topology(fleet: Fleet) -> str:
-    """Which topology it is, and why."""
+def describe_topology(fleet: Fleet) -> str:
+    """Which topology it is, why, and who starts its routers, in a line."""
     if fleet.network.topology is not None:
-        why = "network.topology"
+        why = "as network.topology says"
     elif fleet.network.routers:
-        why = "network.routers"
+        why = "as network.routers names some"
     else:
-        why = f"{'more than' if fleet.is_routed else 'at most'} {MESH_ROBOTS_MAX} robots"
+        why = f"for {'more than' if fleet.is_routed else 'at most'} {MESH_ROBOTS_MAX} robots"
     if not fleet.is_routed:
-        return f"a mesh ({why})"
-    places = [router.where if router.host is None else f"one on {router.host}" for router in fleet.routers]
-    by = " or ".join(places) or "a router that `handfast run` starts"
-    starts = any(router.host is not None for router in fleet.routers)
-    return f"routed ({why}) by {by}{', which `handfast up` starts' * starts}"
+        return f"a mesh, {why}"
+    hosts = [router.host for router in fleet.routers if router.host is not None]
+    starts = f"; `handfast up` starts routers on {' and '.join(hosts)}" if hosts else ""
+    return f"routed, {why}{starts}"
 
 
 def check_network(fleet: Fleet) -> Iterator[Finding]:

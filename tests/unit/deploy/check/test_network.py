@@ -6,7 +6,7 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
-from deploy.check.network import check_network, describe_links, load_of
+from deploy.check.network import check_network, describe_links, describe_topology, load_of
 from deploy.console.data_files import FLEETS
 
 
@@ -21,8 +21,7 @@ def test_a_mesh_links_each_to_each() -> None:
     assert load.heard == pytest.approx(225.0)
     assert load.routed == 0.0
     assert describe_links(delta()) == (
-        "a mesh (at most 24 robots): 21 links; a robot hears 150 hand states, 25 beacons, 50 states of its "
-        "plant a second"
+        "a mesh: 21 links; a robot hears 150 hand states, 25 beacons, 50 states of its plant a second"
     )
 
 
@@ -30,21 +29,41 @@ def test_routers_pass_on_what_robots_and_an_operator_hear() -> None:
     load = load_of(delta('network.topology="routed"'))
     assert load.links == 18
     assert load.routed == pytest.approx(6 * (150 + 25) + 6 * (3 * 50 + 5 + 5))
-    assert "routed (network.topology) by a router that `handfast run` starts: 18 links" in describe_links(
+    assert "routed by a router that `handfast run` starts: 18 links" in describe_links(
         delta('network.topology="routed"')
     )
-    assert "routed (network.routers) by a:7447: 18" in describe_links(delta('network.routers=["a:7447"]'))
+    assert "routed by a:7447: 18" in describe_links(delta('network.routers=["a:7447"]'))
 
 
-def test_it_is_said_where_routers_run_and_why() -> None:
-    hosts = [f'robot.{k}.host="{name}"' for k, name in enumerate("abcabc", 1)]
-    hosts += [f'host.{name}.address="10.0.0.{k}"' for k, name in enumerate("abc", 1)]
-    assert describe_links(delta(*hosts, 'network.topology="routed"')).startswith(
-        "routed (network.topology) by one on a or one on b, which `handfast up` starts: 18 links"
-    )
-    assert describe_links(load_fleet(FLEETS / "lattice45.toml", [])).startswith(
-        "routed (more than 24 robots) by a router that `handfast run` starts: 135 links"
-    )
+HOSTS = [f'robot.{k}.host="{name}"' for k, name in enumerate("abcabc", 1)]
+HOSTS += [f'host.{name}.address="10.0.0.{k}"' for k, name in enumerate("abc", 1)]
+
+
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        ([], "a mesh, for at most 24 robots"),
+        (HOSTS, "a mesh, for at most 24 robots"),
+        (['network.topology="mesh"'], "a mesh, as network.topology says"),
+        (['network.topology="routed"'], "routed, as network.topology says"),
+        (['network.routers=["a:7447"]'], "routed, as network.routers names some"),
+        (
+            [*HOSTS, 'network.topology="routed"'],
+            "routed, as network.topology says; `handfast up` starts routers on a and b",
+        ),
+        (
+            [*HOSTS, 'network.routers=["c", "d:7447"]'],
+            "routed, as network.routers names some; `handfast up` starts routers on c",
+        ),
+    ],
+)
+def test_it_is_said_which_topology_it_is_and_why(sets: list[str], said: str) -> None:
+    assert describe_topology(delta(*sets)) == said
+
+
+def test_large_fleets_are_routed() -> None:
+    assert describe_topology(load_fleet(FLEETS / "lattice45.toml", [])) == "routed, for more than 24 robots"
+    assert "routed by a or b: 18 links" in describe_links(delta(*HOSTS, 'network.topology="routed"'))
 
 
 @pytest.mark.parametrize(
