@@ -12,7 +12,7 @@ import pytest
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.runtime import sealed_bus
-from agent.runtime.bus import LINK_TIMEOUT_S, Bus, BusError, Router, settings_of
+from agent.runtime.bus import LINK_TIMEOUT_S, OPEN_TIMEOUT_MS, Bus, BusError, Router, settings_of
 from agent.runtime.sealed_bus import bus_for
 from deploy.console.arguments import fleet_path
 
@@ -62,8 +62,11 @@ def test_the_second_router_is_tried_though_the_first_does_not_answer() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent, socket.create_server(("127.0.0.1", 0)) as found:
         first, second = (f"tcp/127.0.0.1:{each.getsockname()[1]}" for each in (silent, found))
         found.close()
-        with Router([second], [], None), Bus(listen=[], connect=[], routers=[first, second]) as bus:
+        ends: dict[str, Any] = {"listen": [], "connect": [], "routers": [first, second]}
+        begun = time.monotonic()
+        with Router([second], [], None), Bus(**ends, link_timeout_s=0.2) as bus:
             assert [str(link.dst) for link in bus._far.info.links()] == [second]
+            assert time.monotonic() - begun < OPEN_TIMEOUT_MS / 1000, "Zenoh's own limit"
 
 
 def test_no_router_of_several_is_an_error_at_once() -> None:
