@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
@@ -22,11 +23,19 @@ from deploy.recording.mcap_reader import read_run
 from deploy.report.run_folder import RunFolder
 from deploy.verdict.run_result import RunResult
 
+ROUTERS: Final = ('network.routers=["127.0.0.1:7447", "127.0.0.1:7448"]',)
+"""The override that has robots linked to two routers, wherever `deploy.processes.placement` puts them."""
 
-def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Iterator[Driven]:
+
+def real_results(
+    seeds: Sequence[int], out: Path, interrupt: Interrupt, *, routed: bool = False
+) -> Iterator[Driven]:
     """What came of the scenarios of `seeds`, until all are done or somebody says stop.
 
     The run of one that fails is kept below `out`, as `handfast run` leaves it but without a report.
+
+    Args:
+        routed: whether robots are linked to routers instead of to each other.
 
     Raises:
         deploy.processes.ports.NoPortsError, deploy.report.run_folder.FolderError,
@@ -37,7 +46,7 @@ def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Itera
         tables = draw(seed)
         folder = out / f"{name_of(seed)}-run"
         shutil.rmtree(folder, ignore_errors=True)
-        outcome = _drive(scenario_text(tables), folder, interrupt)
+        outcome = _drive(scenario_text(tables), ROUTERS if routed else (), folder, interrupt)
         if interrupt.count:
             return
         if not outcome.violations:
@@ -45,9 +54,9 @@ def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Itera
         yield Driven(seed, tables, outcome)
 
 
-def _drive(text: str, folder: Path, interrupt: Interrupt) -> Outcome:
+def _drive(text: str, overrides: Sequence[str], folder: Path, interrupt: Interrupt) -> Outcome:
     begun_s = time.perf_counter()
-    placed = place(resolved(parse_fleet(text, source=str(folder))))
+    placed = place(resolved(parse_fleet(text, source=str(folder), overrides=overrides)))
     try:
         kept = RunFolder(folder, placed.fleet, "run")
         run = LocalRun(placed.fleet, kept, make_view(quiet=True), interrupt, placed.vehicles)

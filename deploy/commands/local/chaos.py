@@ -46,6 +46,11 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         action="store_true",
         help="with real processes, in real time, one after the other",
     )
+    sub.add_argument(
+        "--routed",
+        action="store_true",
+        help="with --real: robots are linked to two routers instead of to each other",
+    )
     sub.add_argument("--jobs", type=int, metavar="J", help="scenarios at a time (default: all cores)")
     sub.add_argument(
         "--no-shrink",
@@ -104,6 +109,8 @@ def chaos(options: argparse.Namespace) -> int:
         raise InputError(f"--seed must be below {SEED_MAX}, got {options.seed}")
     if options.profile not in (None, *PROFILES):
         raise InputError(f"--profile must be one of {', '.join(PROFILES)}, got {show(options.profile)}")
+    if options.routed and not options.real:
+        raise InputError("--routed belongs to --real: in virtual time there are no links")
     seeds = seeds_of(options.profile, options.seed, options.count)
     out = Path(options.out)
     if options.write:
@@ -115,7 +122,7 @@ def chaos(options: argparse.Namespace) -> int:
         with progress, ExitStack() as stack:
             results: Iterator[Driven]
             if options.real:
-                results = real_results(seeds, out, interrupt)
+                results = real_results(seeds, out, interrupt, routed=options.routed)
             else:
                 pool = stack.enter_context(Pool(Scenarios(options.shrink), jobs, TIMEOUT_S))
                 results = pool.results(seeds, lambda: interrupt.count == 0)

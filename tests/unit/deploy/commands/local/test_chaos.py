@@ -118,6 +118,7 @@ def test_only_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         (["--profile", "slow"], "--profile must be one of mixed, cut-off"),
         (["--jobs", "0"], "--jobs must be at least 1, got 0"),
         (["--seed", str(2**63)], "--seed must be below"),
+        (["--routed"], "--routed belongs to --real"),
     ],
 )
 def test_bad_input(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
