@@ -481,6 +481,10 @@ def _event_trigger(fleet: Fleet, controller: Controller) -> EventTrigger | None:
     control = fleet.control
     if control.send == "periodic":
         return None
+
+    def missed() -> float:
+        return max((peer.lateness.missed for _, peer in controller.edges), default=0.0)
+
     return EventTrigger(
         controller.peers.forecast,
         fleet.period_ns,
@@ -488,6 +492,7 @@ def _event_trigger(fleet: Fleet, controller: Controller) -> EventTrigger | None:
         fleet.hands_within_ns,
         predicts=control.prediction,
         slopes=controller.coupling.slopes,
+        missed=missed if fleet.beacon_rounds_max > fleet.beacon_rounds else None,
     )
 
 

@@ -38,6 +38,8 @@ class EventTrigger:
         most_ns: within so long one is sent, whatever happens.
         predicts: whether their law carries it forward (`control.prediction`).
         slopes: of its multipliers.
+        missed: how many messages its links miss in a row, where nothing else comes in between that would
+            show that it is there: it says it the oftener then. None: something does.
     """
 
     def __init__(
@@ -49,9 +51,10 @@ class EventTrigger:
         *,
         predicts: bool,
         slopes: Slopes,
+        missed: Callable[[], float] | None = None,
     ) -> None:
         self._forecast, self._bound_m, self._predicts, self._slopes = forecast, bound_m, predicts, slopes
-        self._period_ns = period_ns
+        self._period_ns, self._missed = period_ns, missed
         self._timer = TrickleTimer(period_ns, max(period_ns, most_ns // period_ns * period_ns))
         self._last: HandState | None = None
         self._heard: tuple[tuple[int, int], ...] = ()
@@ -74,7 +77,10 @@ class EventTrigger:
         if not timer.is_due(round_ns):
             return None
         self._last = message
-        return -(-timer.said(round_ns) // NS_PER_MS)
+        most_ns = None
+        if self._missed is not None:
+            most_ns = round(timer.most_ns / (1.0 + self._missed())) // self._period_ns * self._period_ns
+        return -(-timer.said(round_ns, most_ns=most_ns) // NS_PER_MS)
 
     def echo(self, heard: tuple[tuple[int, int], ...], round_ns: int) -> tuple[tuple[int, int], ...]:
         """Which of `heard` to say with a message that is sent now."""

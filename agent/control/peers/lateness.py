@@ -31,6 +31,7 @@ OUTAGE_PERIODS: Final = 12
 _SHARE_WEIGHT: Final = 1.0 / 64.0
 _BURST_WEIGHT: Final = 1.0 / 8.0
 _HEEDED: Final = 1e-3
+_LOSSY: Final = 1e-2
 IN_TIME_NS: Final = NS_PER_S // 10
 """A message that is no older, and before which none is missed, is in time."""
 
@@ -84,6 +85,11 @@ class Lateness:
         most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0
         self.usual_ns = min(aged_ns + self._scatter_ns, most_ns)
         self.heeds = allowed_ns > 0 or self._share > _HEEDED
+
+    @property
+    def missed(self) -> float:
+        """How many messages are missed in a row, k, on a link that loses some all the time; else 0."""
+        return self._run() if self._share > _LOSSY else 0.0
 
     def take_promised(
         self,
@@ -139,8 +145,11 @@ class Lateness:
         """Longest time without a message that is to be expected."""
         if self._share <= RARE:
             return expected_ns
+        return round(expected_ns * (1.0 + self._run()))
+
+    def _run(self) -> float:
         tail = max(self._share, self._burst / (1.0 + self._burst))
-        return round(expected_ns * (1.0 + max(1.0, log(self._share / RARE) / -log(tail))))
+        return max(1.0, log(self._share / RARE) / -log(tail))
 
 
 def missed_at_least(gap_ns: int, promised_ns: int) -> int:

@@ -159,3 +159,13 @@ def test_echoes_go_with_what_is_sent_anyway_and_new_ones_at_once():
     rule.hears(((2, 299 - HEARD_OFF_US),))
     assert [k for k, _ in sent(rule, range(50, 51))] == [50]
     assert rule.echo(heard, 50 * PERIOD) == heard
+
+
+def test_where_links_lose_messages_and_nothing_else_shows_that_it_is_there_it_is_repeated_oftener():
+    lost = [0.0]
+    rule = trigger(missed=lambda: lost[0])
+    assert sent(rule, range(28))[-2:] == [(15, 12), (27, 12)]
+    lost[0] = 3.0
+    assert sent(rule, range(28, 60)) == [(39, 3), *((k, 3) for k in range(42, 60, 3))]
+    lost[0] = 100.0
+    assert sent(rule, range(60, 66))[-3:] == [(63, 1), (64, 1), (65, 1)]

@@ -145,3 +145,11 @@ def test_a_long_gap_after_a_promise_is_an_outage():
         lateness.take_promised((200 + 5 * k) * S, 0, 5 * S, 12 * PERIOD, 12 * PERIOD)
         lateness.expect_promised(PERIOD, 12 * PERIOD, 12 * PERIOD)
     assert lateness.forgiven_ns == 0
+
+
+def test_how_many_are_missed_in_a_row_is_told_of_links_that_lose_some_all_the_time():
+    lateness = Lateness()
+    promised(lateness, 10, 200)
+    assert lateness.missed == 0.0
+    promised(lateness, 10, 2000, loss=0.2)
+    assert 4.0 < lateness.missed < 12.0
