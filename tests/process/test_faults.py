@@ -93,7 +93,8 @@ def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
     healed_s = (int(second_rows.stamp_ns[-1]) - killed_ns) / NS_PER_S
     measured("healed after the author was killed, s", healed_s)
     assert 0.5 < healed_s <= LEASE_S
-    assert recording.robots[2].status.at(11.0) == ("running", "")
+    state, reason = recording.robots[2].status.at(11.0) or ("", "")
+    assert state == "running" or reason.startswith("overloaded: ")
 
 
 def test_ctrl_c_heals(tmp_path: Path) -> None:

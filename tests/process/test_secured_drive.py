@@ -211,7 +211,8 @@ def drove_as_if_alone(fleet: SecuredRobots, folder: Path, other: Path) -> None:
         status = recording.robots[robot].status
         within = (status.t > 0.1) & (status.t < DRIVE_S - 0.1)
         told = {(status.states[k], status.reasons[k]) for k in np.flatnonzero(within)}
-        assert {state for state, _ in told} == {"running"}, told
+        # A busy machine may have them drive at a lower rate for a while.
+        assert {state for state, why in told if not why.startswith("overloaded: ")} == {"running"}, told
         assert len({*status.mission_versions[within]}) == len({*status.order_versions[within]}) == 1
         measured(f"ticks missed by robot {robot}", status.totals()["overruns"])
     for robot in HONEST:

@@ -156,6 +156,11 @@ def test_watchdog_brakes_when_the_wrench_is_stale_and_drives_when_a_fresh_one_co
     assert backend.calls[-1].command is None
     assert not told.driving
     assert node.condition == ("braking", "no fresh wrench for 0.10 s")
+    node.late(T0 + TIMEOUT + 2, TIMEOUT // 2)  # it brakes whatever the reason, and says that
+    assert not state(node, T0 + TIMEOUT + 2).driving
+    assert node.condition == ("braking", "overloaded: this machine ran late by 0.05 s")
+    assert not state(node, T0 + TIMEOUT + 3).driving
+    assert node.condition == ("braking", "no fresh wrench for 0.10 s")
     node.receive(T0 + NS_PER_S, WRENCH_KEY, wrench(T0 + NS_PER_S, force=1.0))
     assert state(node, T0 + NS_PER_S).driving
     assert backend.calls[-1].command == Command(1.0, 0.2)

@@ -140,3 +140,26 @@ def test_a_frozen_process_finds_its_late_tick_again():
     late_ns = ticks.due_ns - (T0 + PERIOD)
     assert late_ns > 0
     assert ticks.take(ticks.due_ns + 3 * PERIOD + 1)[:2] == (T0 + 4 * PERIOD + late_ns, 3)
+
+
+def test_how_late_a_tick_is_counts_from_its_deadline_or_by_what_was_skipped():
+    ticks = Ticks(plant(fleet()), T0)
+    assert ticks.take(T0 + PERIOD + 7)[2] == 7
+    assert ticks.take(T0 + 4 * PERIOD + 5)[2] == 3 * PERIOD + 5
+    late = Ticks(plant(fleet("{ robot = 1, tick_jitter = 0.2 }")), T0)
+    time_ns, missed, late_ns = late.take(late.due_ns)
+    assert late_ns == missed * PERIOD > 0  # on purpose: it begins when it was to
+    assert time_ns == late.due_ns
+
+
+def test_a_node_may_have_another_period_after_each_tick():
+    agent = Agent(fleet(), 1)
+    ticks = Ticks(agent, T0)
+    stamps = []
+    for period_ns in (PERIOD, 4 * PERIOD, 4 * PERIOD, PERIOD, PERIOD):
+        time_ns, missed, _ = ticks.take(ticks.due_ns)
+        assert missed == 0
+        stamps.append((time_ns - T0 - PERIOD // 2) // PERIOD)
+        agent.period_ns = period_ns
+        ticks.plan(time_ns)
+    assert stamps == [0, 1, 4, 8, 9]  # all of a fleet in the same rounds

@@ -157,6 +157,22 @@ def test_speed_comes_back_as_slowly_as_it_went(bench: FleetBench):
     assert shares[-1] == 1.0
 
 
+def test_whom_it_may_not_have_heard_for_it_stood_itself_it_does_not_blame(bench: FleetBench):
+    silence(bench, 2, 3)
+    watch(bench, HORIZON_S - 0.1)
+    bench.agents[1].late(bench.now, NS_PER_S)
+    stood = watch(bench, 0.9)
+    held = [row for row in stood if row.state is State.HOLDING]
+    assert all(row.brakes for row in held)  # it cannot know
+    assert {row.reason for row in held} == {"overloaded: this machine ran late by 1 s"}
+    assert len(held) > 30
+    assert not bench.agents[1]._peers.given_up(bench.now)
+    row = watch(bench, 0.4)[-1]  # by now it would have heard them
+    assert row.reason.startswith("hears none of its neighbours: robot 2 (3.")
+    heal(bench)
+    assert watch(bench, 0.1)[-1].state is State.RUNNING
+
+
 def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
     silence(bench, 2, 3)
     rows = watch(bench, HORIZON_S + 0.2)

@@ -71,3 +71,23 @@ def test_beacons_come_five_times_a_second_and_echoes_once_in_seven_rounds():
     beacons = [each for now_ns in ticks for each in box.beacon(now_ns, HERE, 0.0, following=False)]
     assert {key for key, _ in beacons} == {BEACON}
     assert len(beacons) == len(ticks) // 10
+
+
+def test_at_a_lower_rate_it_says_when_the_next_hand_state_comes_and_beacons_go_on():
+    box = outbox()
+    box.begin(START)
+    box.keep_pace(4 * PERIOD)
+    box.overload = 2
+    beacons = []
+    for rounds in range(0, 200, 4):
+        now_ns = TICK + rounds * PERIOD
+        hand = decode(box.hand(now_ns, HERE, 0.0, following=True)[1])
+        assert isinstance(hand, HandState)
+        assert (hand.sequence, hand.next_ms) == (FIRST_ROUND + rounds, 4 * PERIOD // 1_000_000)
+        beacons += [decode(said) for _, said in box.beacon(now_ns, HERE, 0.0, following=True)]
+    assert 19 <= len(beacons) <= 21  # five a second
+    assert {beacon.overload for beacon in beacons if isinstance(beacon, Beacon)} == {2}
+    box.keep_pace(PERIOD)
+    hand = decode(box.hand(TICK + 200 * PERIOD, HERE, 0.0, following=True)[1])
+    assert isinstance(hand, HandState)
+    assert hand.next_ms == 0

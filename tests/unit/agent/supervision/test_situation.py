@@ -280,3 +280,39 @@ def test_a_stop_that_is_not_on_the_disk_says_so() -> None:
     assert made.conditions(NOW, State.RUNNING).stop == (
         "stop: lunch; not on its disk: no space left on device"
     )
+
+
+def test_a_plant_that_may_have_spoken_while_the_own_process_stood_is_not_lost() -> None:
+    made, _ = driving()
+    later = NOW + NS_PER_S
+    made._overload.late(later, NS_PER_S - 1_000_000)
+    made.check_plant(later)
+    stood = "overloaded: this machine ran late by 1 s"
+    assert made.plant_trouble == stood  # its place is not known
+    conditions = made.conditions(later, State.RUNNING)
+    assert (conditions.plant, conditions.hold) == ("", stood)
+    assert made.conditions(later, State.WAITING).plant == stood
+    made.lost_plant(State.RELEASED)
+    assert made.body_trouble == ""
+    made.check_plant(later + 300_000_000)  # by now it would have been heard
+    assert made.plant_trouble == "plant silent for 1.30 s"
+    assert made.conditions(later, State.RUNNING).plant == made.plant_trouble
+
+
+def test_a_heartbeat_that_may_have_come_meanwhile_is_not_missing() -> None:
+    made, _ = driving("supervision.deadman_s=0.5")
+    made.heartbeat_ns = NOW
+    later = NOW + NS_PER_S
+    assert made.conditions(later, State.RUNNING).hold == "no operator's heartbeat for 1.0 s"
+    made._overload.late(later, 900_000_000)
+    assert made.conditions(later, State.RUNNING).hold == "overloaded: this machine ran late by 0.9 s"
+
+
+def test_a_lower_rate_is_said_beside_what_else_is_the_matter() -> None:
+    made, trust = driving()
+    trust.degraded = "0.31 m from the geofence"
+    made._overload.heard(2, 1, NOW, 0)
+    assert made._overload.look(NOW)
+    degraded = made.conditions(NOW, State.RUNNING).degraded
+    assert degraded.startswith("overloaded: the machine of robot 2 runs late")
+    assert degraded.endswith("; 0.31 m from the geofence")

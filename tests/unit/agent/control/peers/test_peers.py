@@ -417,3 +417,43 @@ def test_whose_hand_states_are_not_listened_to_any_more_promises_nothing():
     heard(known, promising(T0 + 30 * PERIOD, 1, 30), now_ns=T0 + 31 * PERIOD)
     assert total(known, "lost") == 0
     assert known.get(2).hand_next_ns == PERIOD
+
+
+# ---------------------------------------------------------------------- lower rates, late ticks
+
+
+def test_hand_states_that_were_not_to_come_are_not_lost() -> None:
+    known = peers(predict=True)
+    heard(known, message(2, 100, T0)._replace(next_ms=80))
+    for rounds in (4, 8, 12):
+        now_ns = T0 + (rounds + 1) * PERIOD
+        heard(known, message(2, 100 + rounds, T0 + rounds * PERIOD)._replace(next_ms=80), now_ns=now_ns)
+    peer = known.get(2)
+    assert (peer.lost, peer.delayed, peer.lateness.forgiven_ns) == (0, 0, 0)
+    heard(known, message(2, 120, T0 + 20 * PERIOD), now_ns=T0 + 21 * PERIOD)
+    assert peer.lost == 1  # that of round 16; from now on one comes in every round
+    heard(known, message(2, 123, T0 + 23 * PERIOD), now_ns=T0 + 24 * PERIOD)
+    assert peer.lost == 3
+
+
+def test_what_comes_at_a_late_tick_was_not_quicker_than_it_was() -> None:
+    """Without, two messages that were sent after the tick's own time would put the clock of robot 2 ahead."""
+    known = peers()
+    known.keep_pace(4 * PERIOD)
+    for rounds in range(0, 40, 4):
+        now_ns = T0 + rounds * PERIOD
+        known.begin(now_ns)
+        known.behind_ns = 3 * PERIOD  # it begins so much after its time, and takes what was sent until then
+        heard(known, message(2, rounds + 2, now_ns + 2 * PERIOD, heard=((1, 20_000),)), now_ns=now_ns)
+    clock = known.get(2).clock
+    assert clock.least_us == PERIOD // 1000
+    assert (clock.offset_us, clock.used_ns) == (0, 0)
+
+
+def test_who_may_have_spoken_while_the_own_process_stood_is_not_given_up() -> None:
+    known = peers(horizon_s=1.0)
+    heard(known, message(2, 0, T0), message(3, 0, T0))
+    later = T0 + 2 * S
+    assert set(known.given_up(later)) >= {2, 3}
+    known.missed_ns = lambda since_ns: S + PERIOD
+    assert set(known.given_up(later)) == set()
