@@ -16,7 +16,7 @@ from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.beliefs import said_doubt
 from agent.fleet.model import Fleet
 from agent.messages.trickle_timer import TrickleTimer
-from agent.messages.types import Beacon, Silent
+from agent.messages.types import SILENT_MAX, Beacon, Silent
 
 SURE_M: Final = 0.03
 """A place is told again that is off by so much more than its age makes up for: measurements scatter."""
@@ -44,6 +44,8 @@ class BeaconSchedule:
         self.is_seldom: Final = most_ns > least_ns
         self._turn: int | None = None
         self._said: Beacon | None = None
+        self._rows: dict[int, Silent] = {}
+        """What was said last of each silent robot: of many a beacon tells of some in turn."""
         self._heard: dict[int, tuple[_Marks, bool]] = {}
 
     def is_turn(self, now_ns: int) -> bool:
@@ -57,14 +59,22 @@ class BeaconSchedule:
         if not self.is_seldom:
             return beacon
         timer, now_ns = self._timer, beacon.time_ns
-        if self._said is None or _is_news(beacon, self._said):
+        if self._said is None or _is_news(beacon, self._said) or self._tells_news(beacon):
             timer.changed()
         if not timer.is_due(now_ns):
             return None
         relays = any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent)
         next_ns = timer.said(now_ns, most_ns=RELAY_NS if relays else None)
         self._said = beacon
+        if len(beacon.silent) < SILENT_MAX:
+            self._rows.clear()
+        self._rows.update((row.robot, row) for row in beacon.silent)
         return beacon if next_ns == timer.least_ns else beacon._replace(next_ms=next_ns // NS_PER_MS)
+
+    def _tells_news(self, beacon: Beacon) -> bool:
+        """Whether it tells something new of a silent robot."""
+        rows = self._rows
+        return any(row.robot not in rows or _is_elsewhere(row, rows[row.robot]) for row in beacon.silent)
 
     def heard(self, beacon: Beacon, own: _Marks) -> None:
         """Takes another's beacon: it may lack what this robot has told, or does not hear it any more.
@@ -85,19 +95,14 @@ def _marks(beacon: Beacon) -> _Marks:
 
 
 def _is_news(beacon: Beacon, said: Beacon) -> bool:
-    """Whether others do not know what is in `beacon`, who have heard `said`."""
+    """Whether others do not know what `beacon` tells of its sender, who have heard `said`."""
     if beacon.following is not said.following or _marks(beacon) != _marks(said):
         return True
     if beacon.overload != said.overload:
         return True
     if beacon.unheard != said.unheard or abs(beacon.doubt - said.doubt) > SURE_M:
         return True
-    if _is_elsewhere(beacon, said):
-        return True
-    if not beacon.silent:
-        return False
-    rows = {row.robot: row for row in said.silent}
-    return any(row.robot not in rows or _is_elsewhere(row, rows[row.robot]) for row in beacon.silent)
+    return _is_elsewhere(beacon, said)
 
 
 def _is_elsewhere(now: Beacon | Silent, said: Beacon | Silent) -> bool:

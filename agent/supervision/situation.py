@@ -70,7 +70,7 @@ class Situation:
         self._deadman_ns = None if deadman_s is None else round(deadman_s * NS_PER_S)
         self._alone = not controller.proximity.enabled or len(fleet.ids) == 1
         self._listening_ns = fleet.listening_rounds * fleet.period_ns
-        self._beacon_ns = fleet.beacon_rounds * fleet.period_ns
+        self._beacon_ns = fleet.beacon_rounds_max * fleet.period_ns
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
         self._moved_ns = 0

@@ -537,14 +537,14 @@ class Peers:
         A beacon was due within `beacon_ns`: of the two the one that is due first says how late they are.
         """
         gap_ns = time_ns - peer.direct_ns
-        due_ns = min(peer.hand_next_ns or self._period_ns, beacon_ns)
+        due_ns = min(peer.hand_next_ns or self._round_ns, beacon_ns)
         age_ns = now_ns + peer.clock.used_ns - time_ns
         peer.lateness.take_promised(now_ns, age_ns, gap_ns if gap_ns > 0 else None, due_ns, self._beacon_ns)
         self._expect_promised(peer)
 
     def _expect_promised(self, peer: Peer) -> None:
-        hand_ns = peer.hand_next_ns or self._period_ns
-        peer.lateness.expect_promised(self._period_ns, min(hand_ns, peer.next_ns), hand_ns)
+        hand_ns = peer.hand_next_ns or self._round_ns
+        peer.lateness.expect_promised(self._round_ns, min(hand_ns, peer.next_ns), hand_ns)
 
     def present(self, robot: int, here: bool) -> None:
         """Takes a change of presence: the process of a robot's agent came (`here`) or went."""

@@ -131,6 +131,27 @@ def test_a_silent_robot_is_told_of_again_where_there_is_news_of_it() -> None:
     assert bench.run(1.0, silent=(row._replace(x=1.5, time_ns=T0 + NS_PER_S),)) == [5.0, 5.2, 5.6]
 
 
+def test_of_more_silent_robots_than_there_is_room_for_it_tells_in_turn_and_hurries_for_none_twice() -> None:
+    rows = [Silent(k, T0, True, float(k), 2.0, 0.0, 0.0, float(k), 2.0, 0.0) for k in range(3, 43)]
+    bench = Bench()
+    for turn in range(200):
+        first = 16 * turn % 40
+        bench.run(0.1, silent=tuple((rows + rows)[first : first + 16]))
+    times = [at for at, _ in bench.said]
+    assert {row.robot for _, made in bench.said[:8] for row in made.silent} == set(range(3, 43))
+    assert sum(at > 10.0 for at in times) <= 7, "all have been told of, and nothing is new"
+
+
+def test_who_falls_silent_again_is_told_of_again() -> None:
+    row = Silent(4, T0, False, 1.0, 2.0, 0.0, 0.0, 1.0, 2.0, 0.0)
+    bench = Bench()
+    bench.run(5.0, silent=(row,))
+    bench.run(5.0)
+    since = len(bench.said)
+    bench.run(1.0, silent=(row._replace(time_ns=T0 + 9 * NS_PER_S),))
+    assert len(bench.said) - since >= 3
+
+
 def test_who_is_heard_here_and_not_elsewhere_is_told_of_at_least_every_second() -> None:
     bench = Bench()
     for _ in range(100):
