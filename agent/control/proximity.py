@@ -61,6 +61,7 @@ class Proximity:
         self._keep = self._safe + fleet.avoidance.margin_m
         self._until_seen_s = AHEAD_S + 1.0 / barrier_rate(fleet)  # then the filter begins to brake
         self._soon = self._keep + self._until_seen_s * speed_max(fleet)
+        self._is_large = fleet.beacon_rounds_max > fleet.beacon_rounds
         self._closing = 2.0 * FASTER * speed_max(fleet)  # two that make for each other, m/s
 
     def plan(self, plan: Plan) -> None:
@@ -113,6 +114,14 @@ class Proximity:
                 elif hypot(message.x - here.x, message.y - here.y) < self.sensing:
                     return True  # silent a little longer, it may have stood there: beacons alone would not do
         else:
+            if message is not None and self._is_large:
+                # Where it may be takes a while to find out, and of most it is enough how far it can be.
+                age_s = max(0.0, (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S)
+                away = hypot(message.x - here.x, message.y - here.y) - peer.doubt(now_ns)
+                rest_s = (away - self.sensing - STAY_M) / self._closing - 0.5 * age_s - AHEAD_S
+                if rest_s > 0.0:
+                    peer.far_until_ns = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
+                    return False
             belief = self._peers.belief(peer)
             if belief is None:
                 return False

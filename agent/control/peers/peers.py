@@ -412,29 +412,33 @@ class Peers:
         """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
         they are too many for one."""
         elsewhere, epoch_ns = self._unheard_elsewhere, self.forecast.epoch_ns
+        begun = now_ns > epoch_ns
         told = []
         for peer in self._known.values():
-            message = peer.message
             if peer.is_gone:
                 continue
-            if message is None:
-                start = self._starts.get(peer.robot)
-                if start is not None and (peer.never_came or self.was_there) and now_ns > epoch_ns:
-                    told.append(Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0))
-                continue
-            heard = peer.is_heard(now_ns)
-            if heard and not elsewhere.get(peer.robot, 0) > now_ns:
-                continue
-            belief = None if heard else self.belief(peer)
-            here = message.x, message.y
-            way = (*here, message.doubt) if belief is None else belief.straight(*here)
-            time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
-            told.append(Silent(peer.robot, time_ns, message.following, *message.place, *way))
+            if peer.message is None:
+                if begun and peer.robot in self._starts and (peer.never_came or self.was_there):
+                    told.append(peer)
+            elif not peer.is_heard(now_ns) or elsewhere.get(peer.robot, 0) > now_ns:
+                told.append(peer)
         if len(told) > SILENT_MAX:
             first = self._told % len(told)
             self._told = first + SILENT_MAX
             told = (told[first:] + told[:first])[:SILENT_MAX]
-        return tuple(told)
+        return tuple(self._row(peer, now_ns) for peer in told)
+
+    def _row(self, peer: Peer, now_ns: int) -> Silent:
+        """What to tell of a robot."""
+        message = peer.message
+        if message is None:
+            start = self._starts[peer.robot]
+            return Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0)
+        belief = None if peer.is_heard(now_ns) else self.belief(peer)
+        here = message.x, message.y
+        way = (*here, message.doubt) if belief is None else belief.straight(*here)
+        time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
+        return Silent(peer.robot, time_ns, message.following, *message.place, *way)
 
     def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
         time_ns = beacon.time_ns

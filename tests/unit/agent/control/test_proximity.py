@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from agent.control.controller import LOOK_PERIOD_NS
 from agent.control.hand import Hand
-from agent.control.peers.beliefs import DOUBT_MAX
-from agent.control.peers.peers import Peers
+from agent.control.peers.beliefs import DOUBT_MAX, Belief
+from agent.control.peers.peers import Peer, Peers
 from agent.control.proximity import AHEAD_S, STAY_M, Proximity
 from agent.control.safety_distances import speed_max
 from agent.fleet.loading import parse_fleet
@@ -107,6 +107,29 @@ def test_who_says_seldom_where_it_is_is_near_where_it_may_have_stood():
         assert scene.peers.accept_beacon(told, scene.now) is None
         scene.look(HERE._replace(vx=speed))
         assert (scene.close == [3]) is close, (y, speed)
+
+
+def test_in_a_large_fleet_where_a_silent_robot_may_be_is_only_found_out_where_it_could_be_near(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+    scene = Scene("avoidance.beacon_interval_max_s=2.0")
+    believed = scene.peers.belief
+
+    def noted(peer: Peer) -> Belief | None:
+        asked.append(peer.robot)
+        return believed(peer)
+
+    monkeypatch.setattr(scene.peers, "belief", noted)
+    scene.beacon(9.0)
+    for _ in range(15):
+        scene.wait()
+        scene.look()
+    assert asked == [], "not within 1.5 s"
+    for _ in range(25):
+        scene.wait()
+        scene.look()
+    assert asked and set(asked) == {3}
 
 
 def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():
