@@ -89,6 +89,8 @@ def has_way(robot: int, heard: dict[tuple[int, int], bool], ids: list[int], gone
         SimpleNamespace(
             robot=other,
             is_gone=other in gone,
+            time_ns=0,
+            clock=SimpleNamespace(used_ns=0),
             deaf=not heard[robot, other],
             direct_late_ns=lambda now_ns, hears=heard[other, robot]: 0 if hears else 10**12,
         )
@@ -96,10 +98,10 @@ def has_way(robot: int, heard: dict[tuple[int, int], bool], ids: list[int], gone
         if other != robot
     ]
     made: Any = object.__new__(RightOfWay)
-    made._robot, made._peers = robot, SimpleNamespace(known=peers)
+    made._robot, made._peers = robot, SimpleNamespace(known=peers, is_seldom=lambda _: False)
     made._horizon_ns, made._gained_ns = 10**9, 0
-    lost = sum(not heard[each.robot, robot] and not each.is_gone for each in peers)
-    return bool(made._has_way(10**10, lost))
+    lost = [each for each in peers if not heard[each.robot, robot] and not each.is_gone]
+    return bool(made._has_way(10**10, lost, []))
 
 
 @given(st.integers(2, 8), st.randoms(use_true_random=False), st.floats(0.0, 1.0))

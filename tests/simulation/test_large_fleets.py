@@ -30,11 +30,12 @@ formation = {{ edges = {edges}, offsets = {[list(place) for place in places]}, s
 
 
 def test_every_robot_hears_the_beacons_of_all_others() -> None:
-    """81 of them say one in two ticks: some 40 at a time, while others of the same tick come already."""
+    """Once they know the mission 81 of them say one in two ticks: some 40 at a time, while others of the same
+    tick come already. Then less often, but as often as they must."""
     fleet = resolved(parse_fleet(lattice(), source="here"))
     simulation = Simulation(fleet)
     simulation.run()
     for agent in simulation.agents:
         ages_ns = {peer.robot: simulation.now_ns - peer.direct_ns for peer in agent._peers.known}
         assert len(ages_ns) == len(fleet.ids) - 1
-        assert max(ages_ns.values()) < NS_PER_S, (agent.robot, ages_ns)
+        assert max(ages_ns.values()) < fleet.beacon_rounds_max * fleet.period_ns + NS_PER_S // 10, ages_ns
