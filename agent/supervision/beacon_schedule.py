@@ -4,7 +4,7 @@ In a small fleet it does so at every turn. In a large one that would be most of 
 grow with the fleet. There others carry a robot forward at the velocity that it told (dead reckoning, as in
 IEEE 1278.1), and its next beacon comes when it is elsewhere by more than they allow for (U2), has something
 else to tell, or finds that others lack what it has told; after that again soon, in case that was lost; and
-after `Fleet.beacon_rounds_max` at the latest. Each beacon says until when the next one comes.
+after `Fleet.beacon_rounds_max`, or `WAY_M`, at the latest. Each beacon says until when the next one comes.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from agent.messages.types import SILENT_MAX, Beacon, Silent
 
 SURE_M: Final = 0.03
 """A place is told again that is off by so much more than its age makes up for: measurements scatter."""
+WAY_M: Final = 0.5
+"""When it has gone so far it says it at the latest: it may have come to a stand on any of it."""
 RELAY_NS: Final = NS_PER_S
 """A robot that others do not hear is told of again after so long at the latest."""
 
@@ -63,8 +65,11 @@ class BeaconSchedule:
             timer.changed()
         if not timer.is_due(now_ns):
             return None
-        relays = any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent)
-        next_ns = timer.said(now_ns, most_ns=RELAY_NS if relays else None)
+        most_ns = RELAY_NS if any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent) else timer.most_ns
+        speed = hypot(beacon.vx, beacon.vy)
+        if speed * most_ns > WAY_M * NS_PER_S:
+            most_ns = round(WAY_M / speed * NS_PER_S) // timer.least_ns * timer.least_ns
+        next_ns = timer.said(now_ns, most_ns=most_ns)
         self._said = beacon
         if len(beacon.silent) < SILENT_MAX:
             self._rows.clear()

@@ -61,6 +61,11 @@ class Lateness:
         self.heeds = True
         self.most_ns = LATE_MAX_NS
 
+    @property
+    def delay_ns(self) -> int:
+        """How long a message takes, give or take its scatter."""
+        return max(0, self._mean_ns + 2 * self._scatter_ns)
+
     def take(self, now_ns: int, age_ns: int, gap_ns: int | None, expected_ns: int) -> None:
         """Takes a message.
 

@@ -514,6 +514,8 @@ class Peers:
             self._expect_promised(peer)
         else:
             _note(peer.lateness, now_ns, age_ns, gap_ns, period_ns)
+        if not peer.listened and self.is_seldom(peer):  # it was on its way when it was ignored: the last one
+            self._expect_beacon(peer)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
         peer.degree = message.degree
@@ -585,10 +587,13 @@ class Peers:
         """The hand states of these robots are listened to from now on, and of no others."""
         for peer in self._known.values():
             was, peer.listened = peer.listened, peer.robot in robots
-            if peer.listened and not was and self.is_seldom(peer):
+            if not peer.listened or was:
+                continue
+            peer.sequence = _NEVER  # some that were still on their way may have come since it was ignored
+            if self.is_seldom(peer):
                 # What is known of it may be old by the interval of its beacons; what comes now is not.
-                age_ns = now_ns + peer.clock.used_ns - peer.time_ns
-                peer.lateness.forgiven_ns = min(peer.lateness.forgiven_ns, max(0, age_ns))
+                age_ns = max(0, now_ns + peer.clock.used_ns - peer.time_ns) + peer.lateness.delay_ns
+                peer.lateness.forgiven_ns = min(peer.lateness.forgiven_ns, age_ns)
 
     def ignore(self, robot: int) -> None:
         """Its hand states are not listened to any more: those that did not come are not lost, and beacons,

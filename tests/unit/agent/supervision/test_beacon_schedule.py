@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import cos, hypot, sin
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,7 +14,7 @@ from agent.control.peers.beliefs import said_doubt
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import Beacon, Silent
-from agent.supervision.beacon_schedule import RELAY_NS, SURE_M, BeaconSchedule
+from agent.supervision.beacon_schedule import RELAY_NS, SURE_M, WAY_M, BeaconSchedule
 
 T0 = 1000 * NS_PER_S
 MARKS = (3, 7, -1, -1)
@@ -122,6 +123,17 @@ def test_who_moves_as_it_said_has_nothing_new_to_say() -> None:
         x = 0.3 * (bench.now_ns - T0) / NS_PER_S
         bench.run(0.1, place=(x, 0.0, 0.3, 0.0))
     assert len(bench.said) == 5
+
+
+def test_on_its_way_it_says_where_it_is_before_it_has_gone_far() -> None:
+    for speed, most_s in ((0.3, 1.6), (0.5, 1.0), (1.0, 0.4), (5.0, 0.2)):
+        bench = Bench()
+        for _ in range(80):
+            x = speed * (bench.now_ns - T0) / NS_PER_S
+            bench.run(0.1, place=(x, 0.0, speed, 0.0))
+        times = [at for at, _ in bench.said]
+        assert max(b - a for a, b in pairwise(times)) == pytest.approx(most_s)
+        assert max(speed * max(0.2, later) for later in bench.later_s()) <= max(WAY_M, 0.2 * speed) + 1e-9
 
 
 def test_a_silent_robot_is_told_of_again_where_there_is_news_of_it() -> None:

@@ -282,11 +282,31 @@ def test_who_begins_to_be_listened_to_must_be_heard_at_once():
     now = seldom(known, T0) - S
     known.listen({2}, now)
     peer = known.get(2)
-    assert peer.is_heard(now + UNSURE_NS - PERIOD)
-    assert not peer.is_heard(now + UNSURE_NS + PERIOD)
+    assert peer.is_heard(now + UNSURE_NS + PERIOD), "a message takes a period"
+    assert not peer.is_heard(now + UNSURE_NS + 4 * PERIOD)
     heard(known, message(2, 5, now), now_ns=now + PERIOD)
     assert peer.is_heard(now + UNSURE_NS - PERIOD)
     assert not peer.is_heard(now + UNSURE_NS + PERIOD)
+
+
+def test_what_was_on_its_way_when_a_robot_was_ignored_promises_nothing():
+    known, late_ns = peers(beacon_ns=S // 5, beacon_max_ns=2 * S), 3 * S // 10
+    seldom(known, T0, late_ns=late_ns)
+    peer = known.get(2)
+    known.listen({2}, T0 + late_ns)
+    for k in range(1, 30):
+        stamp = T0 + k * PERIOD
+        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
+    known.ignore(2)
+    for k in range(30, 40):
+        stamp = T0 + k * PERIOD
+        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
+    now = T0 + 40 * PERIOD + late_ns
+    assert peer.is_heard(now + S)
+    known.listen({2}, now + S // 2)
+    stamp = now + S // 2 + PERIOD
+    heard(known, message(2, 90, stamp), now_ns=stamp + late_ns)
+    assert peer.lost == 0, "they were not listened to"
 
 
 def test_beacons_alone_are_not_enough_of_one_that_is_listened_to():
