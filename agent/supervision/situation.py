@@ -231,7 +231,7 @@ class Situation:
             return ""
         if not self.heartbeat_ns:
             return "no operator's heartbeat"
-        missed_ns = self._overload.missed_ns(self.heartbeat_ns)
-        if now_ns - self.heartbeat_ns - missed_ns <= self._deadman_ns:
+        age_ns, missed_ns = now_ns - self.heartbeat_ns, self._overload.missed_ns(self.heartbeat_ns)
+        if age_ns - missed_ns <= self._deadman_ns and 2 * missed_ns > age_ns:  # else it is not for that
             return self._overload.stall(now_ns)
         return f"no operator's heartbeat for {(now_ns - self.heartbeat_ns) / NS_PER_S:.1f} s"
