@@ -80,7 +80,6 @@ class Peer:
             ``future``, else 0.
         other_version: what its messages and this program speak, once one was refused for that; else "".
         received, lost, delayed, duplicated: hand states since the start.
-        hand_next_ns: likewise of its hand states; 0 for one period.
         off_m: how far it may be meanwhile from where it is predicted, m, (E1).
         far_until_ns: it cannot come near before then, as who looks for that has found; 0 once it is
             somewhere else than on its way.
