@@ -22,7 +22,7 @@ from deploy.analysis.lattice import lattice
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import METRICS_FILE
-from tests.benchmarks.processes import cpu_s, end, environment, handfast, state_of
+from tests.benchmarks.processes import cpu_s, descendants, end, environment, handfast, state_of
 
 PATIENCE_S: Final = 60.0
 """Beyond its duration: a run that is not driving by then, or has not ended, is asked to end."""
@@ -97,18 +97,8 @@ class Running:
 
     def processes(self) -> dict[int, str]:
         """Role of each of its processes, by pid."""
-        found = {self.process.pid: "run"}
-        parents = [self.process.pid]
-        while parents:
-            for listing in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
-                try:
-                    children = [*map(int, listing.read_text().split())]
-                except OSError:
-                    continue
-                parents += children
-                for child in children:
-                    found[child] = _role(child)
-        return found
+        pid = self.process.pid
+        return {pid: "run"} | {child: _role(child) for child in descendants(pid)}
 
     def cpu(self) -> dict[int, tuple[str, float]]:
         found = {}

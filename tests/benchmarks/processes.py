@@ -63,6 +63,21 @@ def handfast(*arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", "deploy.cli", *arguments]
 
 
+def descendants(pid: int) -> list[int]:
+    """Pids of the processes that it has started, and that those have."""
+    found: list[int] = []
+    parents = [pid]
+    while parents:
+        for listing in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
+            try:
+                children = [*map(int, listing.read_text().split())]
+            except OSError:
+                continue
+            parents += children
+            found += children
+    return found
+
+
 def state_of(pid: int) -> str:
     """The kernel's letter for the state of a process, "" when it is gone."""
     try:

@@ -18,7 +18,16 @@ from statistics import mean, median
 from typing import Final
 
 from tests.benchmarks.figures import Figure, Options, Result, spread
-from tests.benchmarks.processes import BenchmarkError, cpu_s, end, environment, handfast, pss_mb, state_of
+from tests.benchmarks.processes import (
+    BenchmarkError,
+    cpu_s,
+    descendants,
+    end,
+    environment,
+    handfast,
+    pss_mb,
+    state_of,
+)
 
 DRIVING_S: Final = {12: 1.5, 90: 8.0, 200: 15.0}
 """By the number of processes: how soon after the command they are to drive."""
@@ -34,17 +43,7 @@ ALIVE, DRIVES, PORTS = b"alive after", b" s  worst", b"on ports "
 
 def children_of(pid: int) -> list[int]:
     """Pids of a run's processes that are a robot's, whoever has forked them."""
-    found: list[int] = []
-    parents = [pid]
-    while parents:
-        for listing in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
-            try:
-                children = [*map(int, listing.read_text().split())]
-            except OSError:
-                continue
-            parents += children
-            found += [child for child in children if b"--robot" in command_of(child)]
-    return found
+    return [child for child in descendants(pid) if b"--robot" in command_of(child)]
 
 
 def command_of(pid: int) -> bytes:
