@@ -20,7 +20,9 @@ from deploy.verdict.violations import REACTION_S, Violation, reaction_s, windows
 from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 
 STOP_S: Final = 0.2
-"""From a stop to the last plant that brakes."""
+"""From a stop to the last plant that brakes, on one machine."""
+STOP_ON_HOSTS_S: Final = 1.0
+"""Likewise on hosts: where the links do not let it through, it comes over ssh."""
 VEHICLE_STAND_S: Final = 5.0
 """A real vehicle may take so long to come to rest: how hard it brakes is not known."""
 AGREED_S: Final = 3.0
@@ -84,7 +86,7 @@ def _first(times: Floats, bad: Flags, down: Down, limit_s: float, end_s: float) 
 
 def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
     """After a stop no plant drives until a resume, and every body comes to a stand."""
-    reacts_s = STOP_S + reaction_s(recording) - REACTION_S
+    reacts_s = (STOP_ON_HOSTS_S if fleet.hosts else STOP_S) + reaction_s(recording) - REACTION_S
     found, is_checked = [], False
     for robot, data in recording.robots.items():
         limit_s = reacts_s + _wrench_delay_s(recording, robot)

@@ -10,6 +10,7 @@ import pytest
 
 from agent.fleet.fault_rules import Effect, FaultsSection, Rule
 from agent.fleet.fault_targets import Partition
+from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection
 from agent.fleet.sections import ControlSection
@@ -339,6 +340,10 @@ def test_stopped() -> None:
         "The plant of robot 2 drove at 1.22 s, 0.22 s after the stop at 1.00 s: it must brake after 0.20 s, "
         "until a resume."
     ]
+    on_hosts = replace(PAIR, hosts=(HostSection("one"),))
+    slowly = both(braking(1, 1.9), braking(2, 1.9))
+    assert found("stopped", on_hosts, extra=[stop(1.0)], change=slowly) == []
+    assert found("stopped", on_hosts, extra=[stop(0.8)], change=slowly)
     again = both(braking(1, 1.1, 2.5), braking(2, 1.1, 2.5))
     assert found("stopped", PAIR, extra=[stop(1.0, 5)], change=again)
     assert found("stopped", PAIR, extra=[stop(1.0, 5), resume(2.4, 6)], change=again) == []
