@@ -48,7 +48,7 @@ from agent.supervision.order_relay import OrderRelay
 from agent.supervision.outbox import Outbox
 from agent.supervision.overload import Overload
 from agent.supervision.situation import Situation
-from agent.supervision.state_machine import DRIVING, State, step
+from agent.supervision.state_machine import ACTIVE, DRIVING, State, step
 from agent.supervision.status import StatusReport
 
 
@@ -76,7 +76,7 @@ class Agent:
         self._missions = MissionChoice(fleet, geometry)
         self._controller = Controller(fleet, geometry, robot)
         self._peers = self._controller.peers
-        self._overload = Overload(pace.steps(fleet), fleet.period_ns)
+        self._overload = Overload(pace.steps(fleet), fleet.period_ns, pace.gap_ns(fleet))
         self._speed_share = partial(pace.speed_share, fleet)
         self._peers.missed_ns = self._overload.missed_ns
         self._trust = NeighbourTrust(fleet, self._controller, self._overload)
@@ -361,7 +361,7 @@ class Agent:
         """Decides as often as the slowest machine of the fleet can, and drives as fast as that allows."""
         overload, peers = self._overload, self._peers
         peers.behind_ns = 0
-        if overload.look(now_ns, drives=self.state in DRIVING):
+        if overload.look(now_ns, drives=self.state in ACTIVE):
             self.period_ns = period_ns = overload.period_ns
             self._controller.keep_pace(period_ns, self._speed_share(overload.level))
             self._trust.period_s = period_ns / NS_PER_S

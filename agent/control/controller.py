@@ -44,6 +44,8 @@ from agent.messages.types import Forces, HandState, PlantState
 if TYPE_CHECKING:
     from agent.control.own_law import OwnLaw
 
+LOOK_AHEAD_NS: Final = NS_PER_S
+"""So long before the epoch a robot begins to look whose way it may be in."""
 LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often robots that are near are looked for, ns."""
 REFERENCES_MAX: Final = 8
@@ -156,6 +158,7 @@ class Controller:
         self._planned: Plan | None = None
         self.taken = ""
         self._due_ns = 0
+        self._awaits_epoch = True
 
     def plan(self, plan: Plan) -> None:
         """Takes what the fleet is to do."""
@@ -221,10 +224,15 @@ class Controller:
         detour = self.detour
         if detour.fixed and any(detour.round == peer.name for peer, _ in self._driving(now_ns)):
             detour.free()
-        if now_ns < self._due_ns or not self.proximity.enabled:
+        epoch_ns = self.peers.forecast.epoch_ns
+        before, self._awaits_epoch = self._awaits_epoch, not epoch_ns or now_ns < epoch_ns - LOOK_AHEAD_NS
+        begins = before and not self._awaits_epoch and now_ns > epoch_ns - LOOK_PERIOD_NS
+        if (now_ns < self._due_ns and not begins) or not self.proximity.enabled:
             return False
         self._due_ns = now_ns + LOOK_PERIOD_NS
-        self.right_of_way.look(now_ns, here, self.mark, passing=bool(detour.round))
+        # While a large fleet starts many are not heard yet: where they might drive is asked later.
+        passing = bool(detour.round)
+        self.right_of_way.look(now_ns, here, self.mark, rests=self._awaits_epoch, passing=passing)
         self.caution.look(now_ns, here, (*(peer for _, peer in self.edges), *self.proximity.close))
         return self.proximity.look(now_ns, here, neighbours)
 

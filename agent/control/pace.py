@@ -27,6 +27,12 @@ def steps(fleet: Fleet) -> int:
     return step
 
 
+def gap_ns(fleet: Fleet) -> int:
+    """The longest time between two decisions by which a robot can be said to be controlled: no longer than
+    the longest period, and until its body brakes by itself."""
+    return round(min(PERIOD_MAX_S, fleet.control.wrench_timeout_s) * NS_PER_S)
+
+
 def why_not(fleet: Fleet, step: int) -> str:
     """What speaks against a step in a fleet, naming the field to change; "" when nothing does."""
     control, period_s = fleet.control, (1 << step) / fleet.fleet.rate_hz

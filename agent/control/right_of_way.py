@@ -21,7 +21,7 @@ Nothing of this is looked at while nobody has been given up that may be driving.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from math import ceil, hypot
 from typing import Final, NamedTuple
 
@@ -123,11 +123,14 @@ class RightOfWay:
         self.keep_out: tuple[KeepOut, ...] = ()
         self.keep_in: tuple[tuple[Run, ...], ...] = ()
 
-    def look(self, now_ns: int, here: Hand, mark: Mark, *, passing: bool = False) -> None:
+    def look(
+        self, now_ns: int, here: Hand, mark: Mark, *, rests: bool = False, passing: bool = False
+    ) -> None:
         """Finds out what is to be heeded from the tick `now_ns` on, at which the own hand is `here`.
 
         Args:
             mark: of the mission that it has acknowledged.
+            rests: it does not drive for a while, and need not know yet.
             passing: it goes round something, and so leaves its own lane where nobody may be for whom it has
                 to keep to that.
         """
@@ -149,6 +152,10 @@ class RightOfWay:
                 parted = then.get(peer.robot) or self._at(peer.knows_ns)
                 self._then[peer.robot] = parted if parted.message else parted._replace(message=peer.message)
         has_way = self._has_way(now_ns, lost, blind)
+        if rests:
+            self.hold, self.keep_out, self.keep_in = "", (), ()
+            self._stands.clear()
+            return
         movers = self._movers(lost, now_ns) if lost else []
         movers += [peer for peer in blind if peer.message is not None and peer.message.following]
         self.hold, self.keep_out, self.keep_in = "", (), ()
@@ -248,25 +255,24 @@ class RightOfWay:
     def _movers(self, lost: list[Peer], now_ns: int) -> list[Peer]:
         """Those who may drive on: they share an edge with somebody who would not tell this robot of them,
         as it does not hear it or is not heard by it, but by what others relay, or share none with anybody."""
+        horizon_ns = self._horizon_ns
+        known = {peer.robot: peer for peer in self._peers.known}
         silent = {
-            peer.robot: peer
-            for peer in self._peers.known
-            if peer.deaf or peer.direct_late_ns(now_ns) > self._horizon_ns
+            robot for robot, peer in known.items() if peer.deaf or peer.direct_late_ns(now_ns) > horizon_ns
         }
-        # Who speaks seldom may have been lost with it, and be missed later: until it has been heard since.
-        seldom = {peer.robot: peer for peer in self._peers.known if self._peers.is_seldom(peer)}
         found, stood = [], {}
         for peer in lost:
             since_ns = self._stands.get(peer.robot, now_ns)
-            unsure = {robot: other for robot, other in seldom.items() if not _heard_since(other, peer)}
-            if self._may_drive(peer, unsure | silent, stands=now_ns - since_ns >= self._stood_ns):
+            if self._may_drive(peer, known, silent, stands=now_ns - since_ns >= self._stood_ns):
                 found.append(peer)
             else:
                 stood[peer.robot] = since_ns
         self._stands = stood
         return found
 
-    def _may_drive(self, peer: Peer, silent: Mapping[int, Peer], *, stands: bool) -> bool:
+    def _may_drive(
+        self, peer: Peer, known: Mapping[int, Peer], silent: Container[int], *, stands: bool
+    ) -> bool:
         """Whether a robot that has been given up has a place and somebody who keeps it driving: by a mission
         that neither of the two has left.
 
@@ -278,8 +284,11 @@ class RightOfWay:
             if not edges:
                 return True
             for edge in edges:
-                other = silent.get(edge.other)
-                if other is not None:
+                other = known.get(edge.other)
+                if other is None:
+                    continue
+                # Who speaks seldom may have been lost with it, and be missed later: until heard since.
+                if edge.other in silent or (self._peers.is_seldom(other) and not _heard_since(other, peer)):
                     since_ns = max(heard_ns, _heard_ns(other)) if stands else heard_ns
                     if number >= self._reference.since(other.mark, since_ns):
                         return True

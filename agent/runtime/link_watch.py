@@ -32,7 +32,7 @@ from agent.runtime.tcp_sockets import TcpSocket, borrowed, held
 PERIOD_NS: Final = NS_PER_S // 2
 """How often all links are looked at."""
 SOON_NS: Final = NS_PER_S // 10
-"""While links are opened or lacking, or something waits on one."""
+"""While links are opened or lacking, or something has waited on one since the last look."""
 DEAF_NS: Final = 3 * NS_PER_S // 4
 """So long nothing is read from a deaf link."""
 PATIENCE_MAX: Final = 4
@@ -128,8 +128,10 @@ class LinkWatch:
                 if link.is_open and not waiting:
                     link.since_ns = 0
                     continue
-                waits = True
-                if self._is_deaf(each, link, waiting, now_ns):
+                is_deaf = self._is_deaf(each, link, waiting, now_ns)
+                # Something waits to be read on every link at times: what has been read since is no matter.
+                waits = waits or not link.is_open or link.since_ns != now_ns
+                if is_deaf:
                     deaf.append(link.endpoint)
                     _shut(each)
                 elif not link.is_open:

@@ -40,17 +40,19 @@ class Lingering:
         for each in found:
             if each.inode not in self._done:
                 with suppress(OSError):  # closed meanwhile
-                    if _without(each):
+                    does = _without(each)
+                    if does is not False:
                         self._done.add(each.inode)
-                        changed += 1
+                        changed += does is True
         self._done.intersection_update(each.inode for each in found)
         return changed
 
 
-def _without(which: TcpSocket) -> bool:
-    """Whether it lingered; it does no more."""
+def _without(which: TcpSocket) -> bool | None:
+    """Whether it lingered; it does no more. None for one that listens, which never will."""
     with held(which) as found:
         lingers, _ = _LINGER.unpack(found.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size))
         if lingers:
             found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(0, 0))
-        return bool(lingers)
+            return True
+        return None if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) else False

@@ -131,12 +131,16 @@ class NeighbourTrust:
         if drives and held:
             self.degraded = "; ".join(filter(None, (self.degraded, held)))
         self.hold = self.hold or controller.right_of_way.hold
+        if self._overload.stands:
+            self.hold = self._overload.text(now_ns)
         if here is not None and controller.proximity.fence is not None:
             self._look_at_fence(here)
         return ages_us
 
     def missing(self, now_ns: int, *, started: bool) -> str:
         """Whom the robot lacks to begin, in words: anybody before the drive, all of them once it goes on."""
+        if self._overload.stands:
+            return self._overload.text(now_ns)
         edges = self._controller.edges
         silent = [
             self._why(peer, now_ns, heard=False)

@@ -3,14 +3,17 @@
 A loop that runs late says so in its robot's beacons: by how many steps it wants the rate to fall. Every robot
 goes by the greatest that it has heard of late, itself included, from the robots themselves: nobody passes it
 on, so that nobody hears his own wish back. In step s a period is 2^s times as long (`agent.control.pace`);
-beyond the last step the rate stays, and robots drive more slowly still.
+beyond the last step the rate stays, and robots drive more slowly still. Where even then the gaps between
+decisions are longer than the law and the bodies carry, all stand.
 
 It also says how much of a time this process did not run: what was not heard meanwhile was not silent.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
+from operator import itemgetter
 from typing import Final
 
 from agent.common.time import NS_PER_MS, NS_PER_S
@@ -22,7 +25,7 @@ LATE_SHARE: Final = 0.1
 LATE_SHARE_AT_REST: Final = 0.5
 LATE_LEAST: Final = 3
 """So large a share of them, while the robot drives and while it does not, and so many at least, are too many:
-one hitch is none."""
+one hitch is none. As many gaps between decisions that are too long are too many to drive on at all."""
 CALM_NS: Final = 3 * NS_PER_S // 2
 CALM_MAX_NS: Final = 60 * NS_PER_S
 """After so long in which it would have kept the next higher rate it wants that again. Where it then cannot,
@@ -35,9 +38,10 @@ HEARD_NS: Final = 2 * NS_PER_S
 """What a robot wants holds for so long after its last beacon was due."""
 STALLS_MAX: Final = 256
 TIGHT_MAX: Final = 2048
-"""So many late ticks are remembered: to tell of them, and to know whether it is calm."""
+"""So many late ticks, at least and at most, are remembered: to tell of them, and to know if it is calm."""
 SAID_NS: Final = 5 * NS_PER_S
 """Texts name the latest of the ticks since then."""
+_END: Final = itemgetter(0)
 
 
 class Overload:
@@ -48,22 +52,25 @@ class Overload:
     Args:
         steps: so many times the period may double (`agent.control.pace.steps`).
         period_ns: of the full rate.
+        gap_ns: what drives on for longer without a decision is out of control.
 
     Attributes:
         idle: whether there is nothing to look at.
-        wanted: by how many steps this robot wants the rate to fall, 0..steps + 1.
+        wanted: by how many steps this robot wants the rate to fall, 0..steps + 2: slower still, and stands.
         level: the greatest that anybody wants.
         late_ticks: how many of its own ticks began too late, since the start.
     """
 
-    def __init__(self, steps: int, period_ns: int) -> None:
-        self._steps, self._full_ns = steps, period_ns
+    def __init__(self, steps: int, period_ns: int, gap_ns: int) -> None:
+        self._steps, self._full_ns, self._gap_ns = steps, period_ns, gap_ns
         self.idle = True
         self.wanted = self.level = 0
         self.late_ticks = 0
         self._drives = True
-        self._stalls: deque[tuple[int, int]] = deque(maxlen=STALLS_MAX)
+        self._stalls: list[tuple[int, int, int]] = []
+        self._stood_ns = 0
         self._late: deque[int] = deque()
+        self._gaps: deque[int] = deque()
         self._tight: deque[int] = deque(maxlen=TIGHT_MAX)
         self._others: dict[int, tuple[int, int]] = {}
         self._since_ns = 0
@@ -78,6 +85,11 @@ class Overload:
         return min(self.level, self._steps)
 
     @property
+    def stands(self) -> bool:
+        """Whether it must not drive."""
+        return self.level > self._steps + 1
+
+    @property
     def period_ns(self) -> int:
         """The period now."""
         return self._full_ns << self.step
@@ -85,13 +97,18 @@ class Overload:
     def late(self, now_ns: int, late_ns: int) -> None:
         """Takes that the tick at `now_ns` begins so much after its deadline."""
         self.idle = False
-        self._stalls.append((now_ns, late_ns))
+        self._stood_ns += late_ns
+        self._stalls.append((now_ns, late_ns, self._stood_ns))
+        if len(self._stalls) > 2 * STALLS_MAX:
+            del self._stalls[:STALLS_MAX]
         too_late = 2 * late_ns > self.period_ns
         # At the next higher rate, where the period is half as long, it would be.
         would_be = 4 * late_ns > self.period_ns and 0 < self.level <= self._steps
         if too_late:
             self._late.append(now_ns)
             self.late_ticks += 1
+            if self.period_ns + late_ns > self._gap_ns:
+                self._gaps.append(now_ns)
         if too_late or would_be:
             self._tight.append(now_ns)
 
@@ -111,32 +128,33 @@ class Overload:
         if drives is not self._drives:
             self._drives = drives
             self._late.clear()
+            self._gaps.clear()
         window_ns = max(WINDOW_NS, WINDOW_PERIODS * self.period_ns)
-        while self._late and self._late[0] <= now_ns - window_ns:
-            self._late.popleft()
+        for ticks in (self._late, self._gaps):
+            while ticks and ticks[0] <= now_ns - window_ns:
+                ticks.popleft()
         share = LATE_SHARE if drives else LATE_SHARE_AT_REST
         if len(self._late) >= max(LATE_LEAST, share * window_ns / self.period_ns):
-            self._rise(now_ns)
+            self._rise(now_ns, self._steps + (2 if len(self._gaps) >= LATE_LEAST else 1))
         elif self.wanted and self.wanted >= self.level and now_ns - self._since_ns >= self._patience_ns:
             self._fall(now_ns)
         for robot, (_, until_ns) in tuple(self._others.items()):
             if now_ns > until_ns:
                 del self._others[robot]
         before = self.level
-        most = max((wanted for wanted, _ in self._others.values()), default=0)
+        others = max((wanted for wanted, _ in self._others.values()), default=0)
         if before:
             self._spent_ns[before] = self._spent_ns.get(before, 0) + now_ns - self._looked_ns
             self._asked_ns += now_ns - self._looked_ns if self.wanted else 0
         self._looked_ns = now_ns
-        self.level = min(max(self.wanted, most), self._steps + 1)
+        self.level = min(max(self.wanted, others), self._steps + 2)
         self.idle = not (self.wanted or self._others or self._late)
         if self.level != before:
             self._forget(now_ns)
         return self.level != before
 
-    def _rise(self, now_ns: int) -> None:
-        """It does not keep the rate that it has."""
-        top = self._steps + 1
+    def _rise(self, now_ns: int, top: int) -> None:
+        """It does not keep the rate that it has; no further than to `top`."""
         if self.wanted <= self.level < top:
             if self._fell_ns is not None and now_ns - self._fell_ns < self._patience_ns + RELAPSE_NS:
                 self._patience_ns = min(2 * self._patience_ns, CALM_MAX_NS)
@@ -159,15 +177,18 @@ class Overload:
         """Begins to count anew."""
         self._since_ns = now_ns
         self._late.clear()
+        self._gaps.clear()
         self._tight.clear()
 
     # ------------------------------------------------------------------ what it has not heard for that
 
     def missed_ns(self, since_ns: int) -> int:
         """For how much of the time since then this process did not run, though it should have."""
-        return sum(
-            min(late_ns, then_ns - since_ns) for then_ns, late_ns in self._stalls if then_ns > since_ns
-        )
+        first = bisect_right(self._stalls, since_ns, key=_END)
+        if first == len(self._stalls):
+            return 0
+        end_ns, late_ns, stood_ns = self._stalls[first]
+        return self._stood_ns - stood_ns + min(late_ns, end_ns - since_ns)
 
     # ------------------------------------------------------------------ to tell
 
@@ -182,9 +203,8 @@ class Overload:
 
     def stall(self, now_ns: int) -> str:
         """Why this robot does not know what it should: its own process stood."""
-        worst_ns = max(
-            (late_ns for then_ns, late_ns in self._stalls if then_ns > now_ns - SAID_NS), default=0
-        )
+        lately = self._stalls[bisect_right(self._stalls, now_ns - SAID_NS, key=_END) :]
+        worst_ns = max((late_ns for _, late_ns, _ in lately), default=0)
         return "overloaded: this machine ran late" + (f" by {worst_ns / NS_PER_S:.2g} s" if worst_ns else "")
 
     def text(self, now_ns: int) -> str:
@@ -199,4 +219,6 @@ class Overload:
             why = f"overloaded: the machine of robot {who[0]}{more} runs late"
         rate = f"{NS_PER_S / self.period_ns:.4g} Hz" if self.step else ""
         slower = "slower still" if rate and self.level > self._steps else "" if rate else "slower"
+        if self.stands:
+            slower = "stands until it does not"
         return f"{why}: {', '.join(filter(None, (rate, slower)))}"

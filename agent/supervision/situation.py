@@ -160,7 +160,7 @@ class Situation:
         if state not in DRIVING:  # a robot that drives has begun
             neighbours = trust.missing(now_ns, started=begun) or (self._listening(now_ns) if begun else "")
         degraded = self._degraded() if self.unmoved_ns else trust.degraded
-        if self._overload.level:
+        if self._overload.level and not self._overload.stands:
             degraded = "; ".join(filter(None, (self._overload.text(now_ns), degraded)))
         lacks = "" if mission is not None else self.refused_mission or "for a mission"
         return Conditions(

@@ -7,6 +7,8 @@ from math import sqrt
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
+from agent.messages.codec import decode
+from agent.messages.types import Beacon
 from deploy.simulate.simulation import Simulation
 
 SIDE = 9
@@ -39,3 +41,22 @@ def test_every_robot_hears_the_beacons_of_all_others() -> None:
         ages_ns = {peer.robot: simulation.now_ns - peer.direct_ns for peer in agent._peers.known}
         assert len(ages_ns) == len(fleet.ids) - 1
         assert max(ages_ns.values()) < fleet.beacon_rounds_max * fleet.period_ns + NS_PER_S // 10, ages_ns
+
+
+def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
+    """Nor is it worked out where he might stand: of many robots that is the most that a tick costs."""
+    told: list[Beacon] = []
+
+    def sink(time_ns: int, key: str, payload: bytes) -> None:
+        if key.endswith("/beacon"):
+            message = decode(payload)
+            assert isinstance(message, Beacon)
+            told.append(message)
+
+    fleet = resolved(parse_fleet(lattice(), source="here"))
+    simulation = Simulation(fleet, sink)
+    simulation.run()
+    assert len(told) > 3 * len(fleet.ids)
+    assert max(beacon.next_ms for beacon in told) > 1000
+    assert not any(beacon.silent for beacon in told)
+    assert not any(agent._peers._beliefs for agent in simulation.agents)

@@ -14,21 +14,23 @@ from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Beacon, HandState, Status, Stop
-from agent.supervision.state_machine import State
+from agent.supervision.state_machine import DRIVING, State
+from deploy.analysis.lattice import lattice
 from deploy.console.data_files import FLEETS
 from deploy.simulate.simulation import Simulation
 from tests.hand_trace import HandTrace, Trace
 
 DELTA = (FLEETS / "delta.toml").read_text(encoding="utf-8")
+LATTICE = lattice("delta", 30)
 TOP = 3
 """The delta has two steps, and one beyond them."""
 
 
 class Run:
-    """A drive of the delta, whose fault rules may make ticks late."""
+    """A drive of the delta or another fleet, whose fault rules may make ticks late."""
 
-    def __init__(self, *rules: str, duration_s: float = 20.0) -> None:
-        text = DELTA + "".join(f"\n[[faults.rule]]\n{rule}\n" for rule in rules)
+    def __init__(self, *rules: str, duration_s: float = 20.0, of: str = DELTA) -> None:
+        text = of + "".join(f"\n[[faults.rule]]\n{rule}\n" for rule in rules)
         self.fleet = resolved(parse_fleet(text, source="here", overrides=(f"fleet.duration_s={duration_s}",)))
         self._kept = HandTrace(self.fleet)
         self.statuses: list[Status] = []
@@ -147,6 +149,20 @@ def test_robots_of_different_steps_keep_apart_and_settle(rules: tuple[str, ...])
 def test_steps_that_change_all_the_time_do_no_harm() -> None:
     run = Run()
     run.until(20.0, forced(run, lambda robot, time_s: (robot * int(2.0 * time_s) ** 2) % (TOP + 1)))
+    run.expect_safe(0.01)
+
+
+def test_where_robots_cannot_be_controlled_any_more_all_stand_and_go_on_later() -> None:
+    """At 10 Hz, ticks that come up to three periods late: driving on, they are 1.2 m off after 25 s."""
+    run = Run("at = 2\nfor = 12\ntick_jitter = '300ms'", duration_s=40.0, of=LATTICE).until(7.0)
+    assert not any(agent.state in DRIVING for agent in run.simulation.agents)
+    told = [agent.reason for agent in run.simulation.agents if "stands until it does not" in agent.reason]
+    assert len(told) > 20  # the plants of some are so late that they count as lost
+    then = run.trace().hands[-1]
+    run.until(13.0)
+    assert np.hypot(*(run.trace().hands[-1] - then).T).max() < 0.05
+    run.until(40.0)
+    assert {agent.state for agent in run.simulation.agents} == {State.RUNNING}
     run.expect_safe(0.01)
 
 

@@ -36,16 +36,20 @@ class Run(NamedTuple):
 class Lane:
     """The way of one robot from `points` to points; one point: it stands there."""
 
-    __slots__ = ("_runs",)
+    __slots__ = ("_reach", "_runs", "_x", "_y")
 
     def __init__(self, points: Sequence[Vector]) -> None:
         pieces = [piece for a, b in pairwise(points) for piece in _cut(a, b, points)]
         if not pieces:
             pieces = [(*points[0], 0.0, 0.0, 0.0)]
         self._runs = tuple(_run(pieces[k : k + RUN]) for k in range(0, len(pieces), RUN))
+        # A circle round all of it: of many robots, most are far away.
+        self._x, self._y, self._reach, _ = _run(pieces)
 
     def near(self, x: float, y: float, within: float) -> tuple[Run, ...]:
         """The runs that may be nearer to (x, y) than `within`."""
+        if hypot(self._x - x, self._y - y) >= self._reach + within:
+            return ()
         return tuple(run for run in self._runs if hypot(run.x - x, run.y - y) < run.reach + within)
 
     def offset(self, x: float, y: float) -> Vector:

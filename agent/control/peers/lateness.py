@@ -84,7 +84,10 @@ class Lateness:
 
     def expect(self, expected_ns: int) -> None:
         """From now on so much is between two messages."""
-        aged_ns = self._mean_ns + self._run_ns(expected_ns)
+        mean_ns = self._mean_ns
+        if mean_ns < 0 and expected_ns > UNSURE_NS:  # all were in time: of those nothing is kept
+            mean_ns = IN_TIME_NS
+        aged_ns = mean_ns + self._run_ns(expected_ns)
         allowed_ns = aged_ns + 4 * self._scatter_ns - UNSURE_NS
         self.forgiven_ns = max(0, min(allowed_ns, self.most_ns))
         most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0

@@ -447,8 +447,9 @@ class Peers:
         before = peer.message
         if peer.hand_next_ns and since_ns <= peer.hand_next_ns + OUTAGE_NS:  # of two one says how late it is
             self._note_promised(peer, time_ns, now_ns, expected_ns)
-        elif self._beacon_ns < since_ns <= OUTAGE_NS and peer.lateness.heeds:
-            self._expect_beacon(peer)
+        elif self._beacon_ns < since_ns <= OUTAGE_NS:
+            if peer.lateness.heeds or self.is_seldom(peer) or expected_ns > self._beacon_ns:
+                self._expect_beacon(peer)
         elif since_ns > OUTAGE_NS:  # else its hand states say how late it is
             age_ns = now_ns + peer.clock.used_ns - time_ns
             gap_ns = None if peer.direct_ns == _NEVER else time_ns - peer.direct_ns

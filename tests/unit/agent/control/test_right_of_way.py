@@ -299,6 +299,19 @@ def test_the_right_of_way_that_is_gained_begins_later():
     assert scene.way.hold == ""
 
 
+def test_before_it_drives_it_need_not_know_where_others_might():
+    scene = Scene(4)
+    for _ in range(50):
+        scene.now += S // 10
+        scene.hear(3)
+        scene.way.look(scene.now + PERIOD, scene.here, scene.marks[4], rests=True)
+    assert (scene.way.hold, scene.way.keep_out, scene.way.keep_in) == ("", (), ())
+    scene.run(0.1, 3)
+    assert scene.way.hold
+    scene.run(GAINED_NS / S - 0.2, 3, 5)  # whom it did not hear counts as ever
+    assert scene.way.hold
+
+
 def test_heard_again_all_is_as_it_was():
     scene = Scene(4)
     scene.run(5.0, 3)

@@ -123,12 +123,18 @@ def test_a_process_that_did_not_run_finds_nobody_deaf(bench: Bench) -> None:
     assert not ended(far)
 
 
-def test_while_something_waits_it_looks_more_often(bench: Bench) -> None:
+def test_while_something_has_waited_since_the_last_look_it_looks_more_often(bench: Bench) -> None:
     near, far = bench.connect()
     bench.look(bench.opener)
     bench.look(bench.opener)
     assert bench.opener.period_ns == PERIOD_NS
+    for _ in range(3):  # what waits is another each time
+        far.send(b"a message")
+        bench.look(bench.opener)
+        assert bench.opener.period_ns == PERIOD_NS
+        near.recv(99)
     far.send(b"a message")
+    bench.look(bench.opener)
     bench.look(bench.opener)
     assert bench.opener.period_ns == SOON_NS
     near.recv(99)

@@ -14,13 +14,14 @@ from agent.supervision.overload import CALM_MAX_NS, CALM_NS, HEARD_NS, WINDOW_NS
 
 PERIOD = NS_PER_S // 50
 STEPS = 2
+GAP = NS_PER_S // 4
 
 
 class Loop:
     """Ticks at the period that `Overload` gives, each so late as is asked for."""
 
-    def __init__(self, steps: int = STEPS, period_ns: int = PERIOD) -> None:
-        self.overload = Overload(steps, period_ns)
+    def __init__(self, steps: int = STEPS, period_ns: int = PERIOD, gap_ns: int = GAP) -> None:
+        self.overload = Overload(steps, period_ns, gap_ns)
         self.now = NS_PER_S
         self.levels: list[tuple[float, int]] = []
 
@@ -72,7 +73,7 @@ def test_one_hitch_changes_nothing(late: float) -> None:
 
 
 def test_who_does_not_drive_yet_is_more_patient_and_forgets_it_when_it_begins() -> None:
-    overload = Overload(STEPS, PERIOD)
+    overload = Overload(STEPS, PERIOD, GAP)
     for k in range(60):
         if k % 4 == 0:
             overload.late(k * PERIOD, PERIOD)
@@ -95,7 +96,7 @@ def test_a_loop_that_is_late_all_the_time_wants_a_lower_rate_at_once() -> None:
 
 
 def test_it_falls_until_the_rate_can_be_kept_and_no_further() -> None:
-    for needs, level in ((0.015, 0), (0.03, 1), (0.06, 2), (0.3, 3)):
+    for needs, level in ((0.015, 0), (0.03, 1), (0.06, 2), (0.15, 3)):
         loop = Loop()
         loop.run(1.4, busy(needs))
         assert loop.overload.level == level
@@ -104,17 +105,43 @@ def test_it_falls_until_the_rate_can_be_kept_and_no_further() -> None:
 
 def test_beyond_the_last_step_the_rate_stays() -> None:
     loop = Loop(steps=0)
-    loop.run(2.0, busy(0.3))
+    loop.run(2.0, busy(0.2))
     assert (loop.overload.level, loop.overload.step, loop.overload.period_ns) == (1, 0, PERIOD)
     assert loop.overload.text(loop.now).endswith("s: slower")
     loop = Loop(steps=1)
-    loop.run(2.0, busy(0.3))
+    loop.run(2.0, busy(0.2))
     assert loop.overload.text(loop.now).endswith("s: 25 Hz, slower still")
+
+
+def test_where_even_that_does_not_do_it_stands_and_drives_again_by_steps() -> None:
+    loop = Loop(steps=1)
+    loop.run(4.0, busy(0.3))
+    assert [level for _, level in loop.levels] == [1, 2, 3]
+    assert loop.overload.stands
+    assert loop.overload.text(loop.now).endswith("s: 25 Hz, stands until it does not")
+    loop.levels.clear()
+    loop.until_calm(3 * CALM_NS / NS_PER_S + 1.0)
+    assert [level for _, level in loop.levels] == [2, 1, 0]
+    other = Loop(steps=1)
+    other.overload.heard(7, 3, other.now, 0)
+    other.run(0.1, in_time)
+    assert other.overload.stands
+    told = "overloaded: the machine of robot 7 runs late: 25 Hz, stands until it does not"
+    assert other.overload.text(other.now) == told
+
+
+def test_a_few_long_gaps_are_none() -> None:
+    loop = Loop(steps=0)
+    for _ in range(10):
+        loop.run(1.2, in_time)
+        loop.run(0.02, lambda _: 20.0)
+        loop.run(0.02, lambda _: 20.0)
+    assert not any(level > 1 for _, level in loop.levels)
 
 
 def test_it_comes_back_when_the_load_is_gone() -> None:
     loop = Loop()
-    loop.run(10.0, busy(0.3))
+    loop.run(10.0, busy(0.2))
     assert loop.overload.level == STEPS + 1
     loop.until_calm((STEPS + 1) * CALM_NS / NS_PER_S + 1.0)
     loop.run(10.0, in_time)
@@ -147,12 +174,12 @@ def test_it_neither_goes_beyond_its_steps_nor_to_and_fro(
 ) -> None:
     loop = Loop(steps, round(NS_PER_S / rate))
     loop.run(seconds, busy(needs_s))
-    assert all(0 <= level <= steps + 1 for _, level in loop.levels)
+    assert all(0 <= level <= steps + 2 for _, level in loop.levels)
     loop.levels.clear()
     loop.run(120.0, busy(needs_s))
     # Each try waits twice as long as the one before, and costs a change up and one down.
     assert len(loop.levels) <= 2 * 7
-    loop.until_calm((steps + 1) * CALM_MAX_NS / NS_PER_S + 30.0)
+    loop.until_calm((steps + 2) * CALM_MAX_NS / NS_PER_S + 30.0)
 
 
 @given(st.lists(st.tuples(st.floats(0.1, 5.0), st.floats(0.0, 0.2)), max_size=12), st.integers(0, 3))
@@ -160,8 +187,8 @@ def test_whatever_the_load_does_it_comes_back(loads: list[tuple[float, float]], 
     loop = Loop(steps)
     for seconds, needs_s in loads:
         loop.run(seconds, busy(needs_s))
-        assert 0 <= loop.overload.wanted <= steps + 1
-    loop.until_calm((steps + 1) * CALM_MAX_NS / NS_PER_S + 30.0)
+        assert 0 <= loop.overload.wanted <= steps + 2
+    loop.until_calm((steps + 2) * CALM_MAX_NS / NS_PER_S + 30.0)
     loop.run(5.0, in_time)
     assert loop.overload.idle
 
@@ -198,7 +225,7 @@ def test_what_others_want_beyond_what_there_is_is_the_most_there_is() -> None:
     loop = Loop(steps=1)
     loop.overload.heard(3, 16, loop.now, 0)
     loop.run(0.1, in_time)
-    assert loop.overload.level == 2
+    assert loop.overload.level == 3
 
 
 def test_nobody_hears_his_own_wish_back() -> None:
@@ -225,7 +252,7 @@ def test_who_is_late_at_the_rate_of_another_wants_a_lower_one_still() -> None:
 
 
 def test_how_long_it_did_not_run_since_an_instant() -> None:
-    overload = Overload(STEPS, PERIOD)
+    overload = Overload(STEPS, PERIOD, GAP)
     overload.late(3 * NS_PER_S, NS_PER_S)
     overload.late(5 * NS_PER_S, NS_PER_S // 2)
     assert overload.missed_ns(0) == 3 * NS_PER_S // 2

@@ -37,7 +37,7 @@ class Trust:
 def situation(*overrides: str) -> tuple[Situation, Trust]:
     fleet = resolved(load_fleet(FLEETS / "pair.toml", overrides))
     trust = Trust()
-    controller, overload = Controller(fleet, resolve(fleet), 1), Overload(0, fleet.period_ns)
+    controller, overload = Controller(fleet, resolve(fleet), 1), Overload(0, fleet.period_ns, NS_PER_S // 4)
     made = Situation(fleet, 1, controller, cast(NeighbourTrust, trust), overload)
     return made, trust
 
@@ -233,7 +233,7 @@ def test_who_comes_into_a_drive_listens_first() -> None:
     made.check_plant(NOW)
     made_of = resolved(load_fleet(FLEETS / "pair.toml"))
     controller = Controller(made_of, resolve(made_of), 1)
-    overload = Overload(0, made_of.period_ns)
+    overload = Overload(0, made_of.period_ns, NS_PER_S // 4)
     fresh = Situation(made_of, 1, controller, cast(NeighbourTrust, Trust()), overload)
     fresh.mission = made.mission
     fresh.check_plant(NOW)
