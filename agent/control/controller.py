@@ -97,6 +97,7 @@ class Controller:
         mark: of the mission that it goes by, as beacons have it.
         peers: what is known of the others; whoever receives their messages gives them to it.
         proximity: what must be kept away from besides.
+        rests: whether it has not worked out where those may be that it does not hear: it need not know.
         coupling: its multipliers.
         detour: its way round what blocks it.
         taken: which body its place is taken by, in words; "" when by none.
@@ -158,7 +159,7 @@ class Controller:
         self._planned: Plan | None = None
         self.taken = ""
         self._due_ns = 0
-        self._awaits_epoch = True
+        self.rests = True
 
     def plan(self, plan: Plan) -> None:
         """Takes what the fleet is to do."""
@@ -213,28 +214,33 @@ class Controller:
             self._course_edges = edges
             self.edges = tuple((edge, self.peers.get(edge.other)) for edge in edges)
 
-    def look_round(self, now_ns: int, here: hand.Hand, neighbours: Collection[int]) -> bool:
+    def look_round(
+        self, now_ns: int, here: hand.Hand, neighbours: Collection[int], *, held: bool = False
+    ) -> bool:
         """Finds who is near the own hand, and whose way it may be in; True when others are to be listened to.
 
         A few times a second only; but at once when one that stood, and that it goes round, drives again.
 
         Args:
             neighbours: robots that are listened to anyway.
+            held: it stands, and has other reasons to.
         """
         detour = self.detour
         if detour.fixed and any(detour.round == peer.name for peer, _ in self._driving(now_ns)):
             detour.free()
         epoch_ns = self.peers.forecast.epoch_ns
-        before, self._awaits_epoch = self._awaits_epoch, not epoch_ns or now_ns < epoch_ns - LOOK_AHEAD_NS
-        begins = before and not self._awaits_epoch and now_ns > epoch_ns - LOOK_PERIOD_NS
+        before = self.rests
+        self.rests = not epoch_ns or now_ns < epoch_ns - LOOK_AHEAD_NS or (held and self.proximity.is_large)
+        begins = before and not self.rests and now_ns > epoch_ns - LOOK_PERIOD_NS
         if (now_ns < self._due_ns and not begins) or not self.proximity.enabled:
             return False
         self._due_ns = now_ns + LOOK_PERIOD_NS
-        # While a large fleet starts many are not heard yet: where they might drive is asked later.
+        # While a large fleet starts, or its machines have too much to do, many are not heard: where they
+        # might drive is worked out once it matters.
         passing = bool(detour.round)
-        self.right_of_way.look(now_ns, here, self.mark, rests=self._awaits_epoch, passing=passing)
+        self.right_of_way.look(now_ns, here, self.mark, rests=self.rests, passing=passing)
         self.caution.look(now_ns, here, (*(peer for _, peer in self.edges), *self.proximity.close))
-        return self.proximity.look(now_ns, here, neighbours)
+        return self.proximity.look(now_ns, here, neighbours, rests=self.rests)
 
     def drive(self, plant: PlantState, now_ns: int, slower: float = 1.0) -> Drive:
         """The law at the tick `now_ns`. Its numbers may be absurd: look at them before they are sent.

@@ -33,6 +33,8 @@ STAY_M: Final = 0.3
 """A robot is listened to until it is so much further away than the sensing distance."""
 FASTER: Final = 1.2
 """No body is so many times as fast as robots may be."""
+SILENT_PER_LOOK: Final = 2
+"""Of so many that have fallen silent it is worked out at one look where they may be."""
 REST_MAX_NS: Final = NS_PER_S // 2
 """Whoever is far away is looked at again after so long at the latest."""
 
@@ -45,6 +47,7 @@ class Proximity:
         distance: d_a, m.
         clearance: how near the hand may come to an obstacle, m.
         obstacles, fence: of the fleet file; the fence None without one.
+        is_large: whether there are so many robots that most say rarely where they are.
     """
 
     def __init__(self, fleet: Fleet, robot: int, peers: Peers) -> None:
@@ -61,7 +64,7 @@ class Proximity:
         self._keep = self._safe + fleet.avoidance.margin_m
         self._until_seen_s = AHEAD_S + 1.0 / barrier_rate(fleet)  # then the filter begins to brake
         self._soon = self._keep + self._until_seen_s * speed_max(fleet)
-        self._is_large = fleet.beacon_rounds_max > fleet.beacon_rounds
+        self.is_large: Final = fleet.beacon_rounds_max > fleet.beacon_rounds
         self._closing = 2.0 * FASTER * speed_max(fleet)  # two that make for each other, m/s
 
     def plan(self, plan: Plan) -> None:
@@ -73,19 +76,24 @@ class Proximity:
         for peer in self._peers.known:
             peer.far_until_ns = 0
 
-    def look(self, now_ns: int, here: Hand, neighbours: Collection[int]) -> bool:
+    def look(self, now_ns: int, here: Hand, neighbours: Collection[int], *, rests: bool = False) -> bool:
         """Finds who is close to the own hand; True when these are others than before.
 
         Args:
             neighbours: robots that are listened to anyway.
+            rests: it does not drive for a while, and need not know yet where silent ones may be.
         """
-        near = []
+        near, silent = [], []
         for peer in self._peers.known:
             # Most of a large fleet is too far away to come near until a while from now.
             if peer.far_until_ns > now_ns or peer.robot in neighbours:
                 continue
-            if self._is_near(peer, now_ns, here):
+            if self.is_large and not (peer.is_heard(now_ns) or self._peers.is_worked_out(peer)):
+                silent.append(peer)
+            elif self._is_near(peer, now_ns, here):
                 near.append(peer)
+        if silent:
+            near += self._near_of(silent, now_ns, here, 0 if rests else SILENT_PER_LOOK)
         near.sort(key=_by_id)
         before, self.close = self.close, tuple(near)
         if before == self.close:
@@ -94,6 +102,19 @@ class Proximity:
             if peer not in self.close:
                 self._peers.ignore(peer.robot)
         return True
+
+    def _near_of(self, silent: list[Peer], now_ns: int, here: Hand, most: int) -> list[Peer]:
+        """Those that are near, of robots of which is to be worked out where they may be: the nearest first,
+        and no more than `most`, when many fall silent together. Others are as at the last look.
+        """
+
+        def away(peer: Peer) -> float:
+            message = peer.message
+            return 0.0 if message is None else hypot(message.x - here.x, message.y - here.y)
+
+        silent.sort(key=away)
+        near = [peer for peer in silent[most:] if peer in self.close]
+        return near + [peer for peer in silent[:most] if self._is_near(peer, now_ns, here)]
 
     def _is_near(self, peer: Peer, now_ns: int, here: Hand) -> bool:
         """Whether a robot is within the sensing region, or will be at the next look; wherever it may be. One
@@ -114,7 +135,7 @@ class Proximity:
                 elif hypot(message.x - here.x, message.y - here.y) < self.sensing:
                     return True  # silent a little longer, it may have stood there: beacons alone would not do
         else:
-            if message is not None and self._is_large:
+            if message is not None and self.is_large:
                 # Where it may be takes a while to find out, and of most it is enough how far it can be.
                 age_s = max(0.0, (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S)
                 away = hypot(message.x - here.x, message.y - here.y) - peer.doubt(now_ns)

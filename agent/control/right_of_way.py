@@ -115,6 +115,7 @@ class RightOfWay:
         self._own: deque[_Parting] = deque(maxlen=ceil(remembered_s * LOOKS_PER_S))
         self._gaining_ns = GAINED_NS + rest_ns
         self._then: dict[int, _Parting] = {}  # by robot: when it was heard last, or heard this one
+        self._lanes_per_look = LANES_PER_LOOK if not rest_ns else 1
         self._ways: dict[int, _Ways] = {}
         self._gained_ns: int | None = 0  # all begin together
         self._stands: dict[int, int] = {}  # by robot: since when it can only stand, or is about to
@@ -338,7 +339,7 @@ class RightOfWay:
             known = self._ways.get(peer.robot)
             if known is not None and known.message is message and known.then is then:
                 continue
-            if made == LANES_PER_LOOK:
+            if made == self._lanes_per_look:
                 return False
             made += 1
             follows = self._known_to(peer)

@@ -49,6 +49,7 @@ class NeighbourTrust:
         self._all_needed = fleet.supervision.silence == "hold"
         self._edges: object = None
         self._drove_ns = -1
+        self._held = False
         self.slower = 1.0
         self.hold = self.degraded = ""
         self.changed = True
@@ -65,7 +66,8 @@ class NeighbourTrust:
             self._edges = controller.edges
             self._neighbours = {peer.robot for _, peer in controller.edges}
             self.changed = True
-        if here is not None and controller.look_round(now_ns, here, self._neighbours):
+        stands = self._held and state not in DRIVING
+        if here is not None and controller.look_round(now_ns, here, self._neighbours, held=stands):
             self.changed = True
         ages_us = []
         share = 1.0
@@ -130,9 +132,12 @@ class NeighbourTrust:
         held = controller.taken or controller.detour.held
         if drives and held:
             self.degraded = "; ".join(filter(None, (self.degraded, held)))
-        self.hold = self.hold or controller.right_of_way.hold
         if self._overload.stands:
             self.hold = self._overload.text(now_ns)
+        self._held = bool(self.hold)
+        self.hold = self.hold or controller.right_of_way.hold
+        if stands and controller.rests:
+            self.hold = self.hold or "finds out who may be near"
         if here is not None and controller.proximity.fence is not None:
             self._look_at_fence(here)
         return ages_us

@@ -152,7 +152,9 @@ def _clock(dice: Dice, ids: Sequence[int], trouble_s: float, reach: Reach) -> Ta
 
 
 def _jitter(dice: Dice, ids: Sequence[int], trouble_s: float, reach: Reach) -> Tables:
-    return {**({"robot": dice.pick(ids)} if dice.chance(0.5) else {}), "tick_jitter": _ms(0.001, 0.01, dice)}
+    # A machine that has now and then a little too much to do, or all the time more than it can.
+    late = _ms(0.001, 0.01, dice) if dice.chance(0.6) else _ms(0.05, 0.2, dice)
+    return {**({"robot": dice.pick(ids)} if dice.chance(0.5) else {}), "tick_jitter": late}
 
 
 def _dropout(dice: Dice, ids: Sequence[int], trouble_s: float, reach: Reach) -> Tables:

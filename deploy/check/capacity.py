@@ -26,9 +26,9 @@ RECORDED_S: Final = 75e-6
 """Processor time, s, Zenoh's part in it: of an agent for a round of its loop, so much more where it says what
 it says to each of the others, and for a message that it hears; of a plant for a round; of a router for a
 message that it passes on; of `run` for one that it records."""
-FULL: Final = 0.75
-"""So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
-takes more than driving."""
+FULL: Final = 0.6
+"""So large a share of a machine may be used: robots all do their rounds at the same time, starting them takes
+more than driving, and of many each finds the processor's caches full of the others'."""
 TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
 TIMEOUT_PERIODS: Final = 3.0
 """Fields of `[control]` that must be at least two periods; with so many one lost message is nothing."""

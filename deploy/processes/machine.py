@@ -18,7 +18,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import PlantState
 from deploy.check.capacity import ROBOTS_MIN, Machine, overload
 
-ROUNDS: Final = 12
+ROUNDS: Final = 40
 MESSAGES: Final = 150
 ROUND_S: Final = 1.65e-3
 """Processor time of one round of `_work` where the costs of `deploy.check.capacity` were measured."""
@@ -31,7 +31,7 @@ _OWN_CGROUP: Final = Path("/proc/self/cgroup")
 
 
 def measured() -> Machine:
-    """This machine, by some 20 ms of work of the kind that robots do, beside another program that is busy:
+    """This machine, by some 70 ms of work of the kind that robots do, beside another program that is busy:
     two processors that are threads of one core are not twice as fast as one."""
     allowed = os.sched_getaffinity(0)
     here = min(allowed)

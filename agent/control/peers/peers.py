@@ -433,10 +433,12 @@ class Peers:
         if message is None:
             start = self._starts[peer.robot]
             return Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0)
-        belief = None if peer.is_heard(now_ns) else self.belief(peer)
+        time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
+        # What is told of late everybody works out himself: of many robots it would take long here.
+        lately = self._rest_ns and message.following and now_ns - time_ns < self._horizon_s * NS_PER_S
+        belief = None if lately or peer.is_heard(now_ns) else self.belief(peer)
         here = message.x, message.y
         way = (*here, message.doubt) if belief is None else belief.straight(*here)
-        time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
         return Silent(peer.robot, time_ns, message.following, *message.place, *way)
 
     def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
@@ -672,6 +674,13 @@ class Peers:
                 ),
             )
         return known[1]
+
+    def is_worked_out(self, peer: Peer) -> bool:
+        """Whether `belief` knows already where a robot may be."""
+        known = self._beliefs.get(peer.robot)
+        if peer.message is None or peer.belief is not None or peer.is_gone:
+            return True
+        return known is not None and known[0] is peer.message
 
     def last_of(self, peer: Peer) -> HandState:
         """What is known last of a robot; of one that was never heard, that it stands where it starts."""

@@ -132,6 +132,29 @@ def test_in_a_large_fleet_where_a_silent_robot_may_be_is_only_found_out_where_it
     assert set(asked) == {3}
 
 
+def test_of_many_that_fall_silent_together_the_nearest_are_looked_for_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = Scene("avoidance.beacon_interval_max_s=2.0")
+    asked: list[int] = []
+    worked_out = scene.peers.belief
+
+    def noted(peer: Peer) -> Belief | None:
+        asked.append(peer.robot)
+        return worked_out(peer)
+
+    monkeypatch.setattr(scene.peers, "belief", noted)
+    for robot, x in ((3, 3.4), (4, -3.0), (5, 3.2), (6, -3.6), (7, 2.9)):
+        scene.beacon(x, robot=robot)
+    scene.wait(3 * S)
+    scene.proximity.look(scene.now, HERE, (2,), rests=True)
+    assert asked == [], "nobody needs to know"
+    for count in (2, 4, 5):
+        scene.look()
+        scene.wait()
+        assert list(dict.fromkeys(asked)) == [7, 4, 5, 3, 6][:count]
+
+
 def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():
     scene = Scene()
     for robot in (7, 3, 2):

@@ -187,6 +187,24 @@ def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
     assert next(row.trust for row in back if not row.brakes) < 0.05
 
 
+@pytest.mark.parametrize("bench", [("avoidance.beacon_interval_max_s=1.0",)], indirect=True)
+def test_of_many_who_holds_finds_out_who_is_near_before_it_goes_on(bench: FleetBench):
+    controller = bench.agents[1]._controller
+    silence(bench, 2, 3)
+    assert not controller.rests
+    held = watch(bench, HORIZON_S + 2.0)
+    assert held[-1].state is State.HOLDING
+    assert controller.rests
+    heal(bench)
+    back = watch(bench, 4.0)
+    reasons = [row.reason for row in back]
+    assert "finds out who may be near" in reasons
+    last = len(reasons) - 1 - reasons[::-1].index("finds out who may be near")
+    assert all(row.brakes for row in back[: last + 1])
+    assert back[-1].state is State.RUNNING
+    assert not controller.rests
+
+
 def test_who_held_does_not_go_on_by_a_mission_that_those_it_hears_have_left(bench: FleetBench):
     """Before it drives it has what they go by, whatever that says of its own place."""
     silence(bench, 2, 3)
