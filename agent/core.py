@@ -98,7 +98,9 @@ class Agent:
         self._said_by |= {key_expressions.beacon(name, other): (other, False) for other in others}
         self._watches_all = fleet.beacon_rounds_max == fleet.beacon_rounds
         horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
-        self._deafness = Deafness(others, horizon_ns, fleet.hands_within_ns, sees_all=self._watches_all)
+        self._deafness = Deafness(
+            others, horizon_ns, fleet.hands_within_ns, sees_all=self._watches_all, one_link=fleet.is_routed
+        )
         self._radio = Radio[OnAir](fleet, robot) if fleet.network.emulate_budget else None
         self._ingress = Ingress(
             fleet,

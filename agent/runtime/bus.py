@@ -22,7 +22,7 @@ from agent.common.errors import Error
 from agent.common.time import NS_PER_S
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import inbox_size
-from agent.runtime.link_watch import SOON_NS, LinkWatch
+from agent.runtime.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
 from agent.runtime.tcp_linger import Lingering
 from agent.runtime.tcp_sockets import TcpSockets
 from agent.security.access_control import Security
@@ -201,14 +201,20 @@ def _open_client(
     go_on_waiting: Callable[[], bool],
     link_timeout_s: float,
 ) -> Any:
-    """A session with the first router that answers. One that was there once is waited for by Zenoh itself."""
+    """A session with the first router that answers. One that was there once is waited for by Zenoh itself.
+
+    One that many ask at once is given more time with each try: whoever gives up costs it as much as who does
+    not.
+    """
+    patience = 1
     while True:
         try:
-            return _open("client", [], routers, security, link_timeout_s)
+            return _open("client", [], routers, security, patience * link_timeout_s)
         except BusError:
             if not go_on_waiting():
                 raise
         time.sleep(RETRY_MS[1] / 1000)
+        patience = min(2 * patience, PATIENCE_MAX)
 
 
 class Bus:

@@ -37,10 +37,14 @@ DEAF_NS: Final = 3 * NS_PER_S // 4
 """So long nothing is read from a deaf link."""
 PATIENCE_MAX: Final = 4
 """Whoever lets this process connect and does not answer is given so many times as long, in the end."""
+STALLED_MAX: Final = 2
+STALLED_PART: Final = 8
+"""Nothing is read from more links than this at a time, or than one in so many: then none of them is deaf."""
 SENT_LOOKS: Final = 2
 """At so many looks meanwhile something more has been sent on it: one answer is not enough."""
-PAUSED_NS: Final = NS_PER_S
-"""Between two looks so far apart this process did not run: nothing can be said of that time."""
+PAUSED_NS: Final = NS_PER_S // 2
+"""A look that comes so much later than it was due is of a process that did not run, or not as it should:
+nothing can be said of that time."""
 _INFO: Final = Struct("=B7x4x4x4x4x4x4x4x4x4xI4x4x4x4x4x4x4x4x4x4x4x4x4x4x8x8xQQ")
 """Of struct tcp_info (linux/tcp.h): state, last_data_sent (ms), bytes_acked, bytes_received."""
 _ESTABLISHED, _SYN_SENT = 1, 2
@@ -110,14 +114,14 @@ class LinkWatch:
             now_ns: of a clock that is never set.
         """
         before, self._links = self._links, {}
-        if now_ns - self._looked_ns > PAUSED_NS:
+        if now_ns - self._looked_ns > self.period_ns + PAUSED_NS:
             for link in before.values():
                 if link is not None:
                     link.since_ns, link.sent = now_ns, 0
         self._looked_ns = now_ns
-        deaf: list[str] = []
+        deaf: list[tuple[TcpSocket, _Link]] = []
         opening: list[tuple[TcpSocket, _Link]] = []
-        waits = False
+        waits, stalled = False, 0
         for each in found:
             with suppress(OSError):  # closed meanwhile
                 link = before[each.inode] if each.inode in before else self._meet(each, now_ns)
@@ -130,10 +134,11 @@ class LinkWatch:
                     continue
                 is_deaf = self._is_deaf(each, link, waiting, now_ns)
                 # Something waits to be read on every link at times: what has been read since is no matter.
-                waits = waits or not link.is_open or link.since_ns != now_ns
+                stalls = link.is_open and link.since_ns != now_ns
+                waits = waits or stalls or not link.is_open
+                stalled += stalls
                 if is_deaf:
-                    deaf.append(link.endpoint)
-                    _shut(each)
+                    deaf.append((each, link))
                 elif not link.is_open:
                     opening.append((each, link))
         if opening:
@@ -141,7 +146,12 @@ class LinkWatch:
         if self._one_of and not waits:
             waits = all(link is None or link.endpoint not in self._one_of for link in self._links.values())
         self.period_ns = SOON_NS if waits else PERIOD_NS
-        return deaf
+        if stalled > max(STALLED_MAX, len(found) // STALLED_PART):
+            return []  # nothing is wrong with so many: what reads them all has no time
+        for each, _ in deaf:
+            with suppress(OSError):
+                _shut(each)
+        return [link.endpoint for _, link in deaf]
 
     def reopen(self, endpoint: str, found: Sequence[TcpSocket]) -> bool:
         """Shuts down the link to `endpoint` among these; whether there was one that was open."""

@@ -13,7 +13,7 @@ _fleets: Final[dict[str, Fleet]] = {}
 _on_start: Final[list[Callable[[], None]]] = []
 
 
-def preload(path: str) -> None:
+def preload(path: str) -> Fleet:
     """Reads a fleet file, and imports what its robots need, for `fleet_of` in whatever is forked from here.
 
     Not for a fleet with plugins: importing one runs the code of others.
@@ -27,6 +27,7 @@ def preload(path: str) -> None:
             import_module(robot.kind.body.partition(":")[0])
     digest(fleet)  # which it remembers
     _fleets[path] = fleet
+    return fleet
 
 
 def fleet_of(path: str, overrides: Sequence[str] = (), law: str | None = None) -> Fleet:

@@ -56,10 +56,17 @@ class Deafness:
         hands_ns: within so long one robot sends two hand states.
         sees_all: whether `present` is told of all of them; else it is taken that they are there, for those
             that are not, nobody hears.
+        one_link: all come over the same, from a router: it may be that which nothing comes over.
     """
 
     def __init__(
-        self, robots: Iterable[int], horizon_ns: int, hands_ns: int = 0, *, sees_all: bool = True
+        self,
+        robots: Iterable[int],
+        horizon_ns: int,
+        hands_ns: int = 0,
+        *,
+        sees_all: bool = True,
+        one_link: bool = False,
     ) -> None:
         self._others = {robot: _Other() for robot in robots}
         if not sees_all:
@@ -68,6 +75,7 @@ class Deafness:
         self._heard_after_ns = horizon_ns + LATE_NS
         self._no_hands_ns = max(SILENT_NS, 2 * hands_ns)
         self._now_ns = self._due_ns = 0
+        self._link = _Other() if one_link else None
 
     def came(self, robot: int, now_ns: int, *, hand: bool) -> None:
         """The bus delivered a hand state, or a beacon, on the key of a robot."""
@@ -110,14 +118,22 @@ class Deafness:
                 other.listened_ns = now_ns
             if other.token_ns == _NEVER:
                 continue
-            if not (self._lacks_all(robot, other, now_ns) or _lacks_hands(other, now_ns, self._no_hands_ns)):
-                if now_ns - other.due_ns > PAUSE_MAX_NS:
-                    other.pause_ns = PAUSE_NS
-            elif now_ns >= other.due_ns:
-                other.due_ns = now_ns + other.pause_ns
-                other.pause_ns = min(2 * other.pause_ns, PAUSE_MAX_NS)
+            lacks = self._lacks_all(robot, other, now_ns) or _lacks_hands(other, now_ns, self._no_hands_ns)
+            if _is_to_open(other, now_ns, lacks=lacks):
                 found.append(robot)
+        if self._link is not None and not found:
+            there = self._unheard_from_all(listened, now_ns)
+            if _is_to_open(self._link, now_ns, lacks=bool(there)):
+                found.append(there[0])
         return found
+
+    def _unheard_from_all(self, listened: Collection[int], now_ns: int) -> list[int]:
+        """Who is seen to be there of those that are listened to, while nothing comes from anybody."""
+        after_ns = now_ns - self._heard_after_ns
+        if any(other.came_ns >= after_ns for other in self._others.values()):
+            return []
+        there = ((robot, self._others[robot].token_ns) for robot in sorted(listened) if robot in self._others)
+        return [robot for robot, token_ns in there if 0 < token_ns < after_ns]
 
     def _lacks_all(self, robot: int, other: _Other, now_ns: int) -> bool:
         """Whether nothing comes, and another robot that has been there as long goes on hearing it: so late
@@ -130,6 +146,19 @@ class Deafness:
             for each in self._others.values()
             if each is not other
         )
+
+
+def _is_to_open(other: _Other, now_ns: int, *, lacks: bool) -> bool:
+    """Whether a link over which something does not come is to be opened anew now."""
+    if not lacks:
+        if now_ns - other.due_ns > PAUSE_MAX_NS:
+            other.pause_ns = PAUSE_NS
+        return False
+    if now_ns < other.due_ns:
+        return False
+    other.due_ns = now_ns + other.pause_ns
+    other.pause_ns = min(2 * other.pause_ns, PAUSE_MAX_NS)
+    return True
 
 
 def _lacks_hands(other: _Other, now_ns: int, silent_ns: int) -> bool:

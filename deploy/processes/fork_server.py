@@ -46,6 +46,9 @@ STARTING_MAX: Final = 2 + (os.cpu_count() or 1)
 that come later in the file connect to those before them, who should be there by then."""
 START_S: Final = 0.3
 """Who takes longer waits for something else than processor time, and no other process waits for it."""
+YIELDING: Final = 5
+"""So much nicer are many robots than the router that they share, and `run`: where the processor is short,
+what all of them wait for comes first."""
 LOOK_S: Final = 0.25
 """How often who started this process is looked for."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -125,7 +128,8 @@ class Server:
     def _answer(self, request: Any, handles: Sequence[int]) -> Forked | None:
         if "fleet" in request:
             with suppress(Error):  # whoever needs it says so
-                preloaded.preload(request["fleet"])
+                if preloaded.preload(request["fleet"]).is_routed:
+                    os.nice(YIELDING)
             self._settle()
             return None
         (log,) = handles

@@ -42,6 +42,8 @@ TRUST_LOST_S: Final = 0.5
 """Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
 TRUST_GAINED_S: Final = 1.5
 """Trust rises from 0 to 1 within this time: the edge is back without a bump."""
+ROWS_OF_MANY: Final = 2
+"""Of so many silent robots it is worked out for one beacon where they may be, in a large fleet."""
 _NEVER: Final = -1
 JUMP_M: Final = 1.0
 """Between two beacons a robot does not go so far: it has been found somewhere else."""
@@ -405,11 +407,11 @@ class Peers:
     @property
     def rounds_to_tell(self) -> int:
         """How many beacons of one robot it takes to tell of all that others do not hear."""
-        return -(-self._most_unheard // SILENT_MAX)
+        return -(-self._most_unheard // (ROWS_OF_MANY if self._rest_ns else SILENT_MAX))
 
     def silent(self, now_ns: int) -> tuple[Silent, ...]:
         """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
-        they are too many for one."""
+        they are too many for one, or for a tick in which to work out where all of them may be."""
         elsewhere, epoch_ns = self._unheard_elsewhere, self.forecast.epoch_ns
         begun = now_ns > epoch_ns
         told = []
@@ -421,11 +423,29 @@ class Peers:
                     told.append(peer)
             elif not peer.is_heard(now_ns) or elsewhere.get(peer.robot, 0) > now_ns:
                 told.append(peer)
-        if len(told) > SILENT_MAX:
+        if len(told) > (ROWS_OF_MANY if self._rest_ns else SILENT_MAX):
             first = self._told % len(told)
-            self._told = first + SILENT_MAX
             told = (told[first:] + told[:first])[:SILENT_MAX]
+            if self._rest_ns:
+                told = self._in_time(told, now_ns)
+            self._told = first + len(told)
         return tuple(self._row(peer, now_ns) for peer in told)
+
+    def _in_time(self, told: list[Peer], now_ns: int) -> list[Peer]:
+        """The first of these, so many that not too much is to be worked out for them."""
+        most = ROWS_OF_MANY
+        for count, peer in enumerate(told):
+            if not (peer.is_heard(now_ns) or self._heard_lately(peer, now_ns) or self.is_worked_out(peer)):
+                if not most:
+                    return told[:count]
+                most -= 1
+        return told
+
+    def _heard_lately(self, peer: Peer, now_ns: int) -> bool:
+        """Whether a robot was heard so lately that everybody works out himself where it may be."""
+        if not (self._rest_ns and peer.message is not None and peer.message.following):
+            return False
+        return now_ns + peer.clock.used_ns - peer.time_ns < self._horizon_s * NS_PER_S
 
     def _row(self, peer: Peer, now_ns: int) -> Silent:
         """What to tell of a robot."""
@@ -434,9 +454,7 @@ class Peers:
             start = self._starts[peer.robot]
             return Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0)
         time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
-        # What is told of late everybody works out himself: of many robots it would take long here.
-        lately = self._rest_ns and message.following and now_ns - time_ns < self._horizon_s * NS_PER_S
-        belief = None if lately or peer.is_heard(now_ns) else self.belief(peer)
+        belief = None if self._heard_lately(peer, now_ns) or peer.is_heard(now_ns) else self.belief(peer)
         here = message.x, message.y
         way = (*here, message.doubt) if belief is None else belief.straight(*here)
         return Silent(peer.robot, time_ns, message.following, *message.place, *way)

@@ -11,7 +11,7 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
-from agent.runtime import sealed_bus
+from agent.runtime import bus, sealed_bus
 from agent.runtime.bus import LINK_TIMEOUT_S, OPEN_TIMEOUT_MS, Bus, BusError, Router, settings_of
 from agent.runtime.sealed_bus import bus_for
 from deploy.console.arguments import fleet_path
@@ -121,3 +121,19 @@ def test_a_link_that_is_opened_anew_is_heard_over_again() -> None:
             pass
         assert len(before) == len(after) == 1
         assert before != after
+
+
+def test_a_router_that_does_not_answer_is_given_more_time_with_each_try(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: list[float] = []
+
+    def refuses(_mode: str, _listen: object, _routers: object, _security: object, timeout_s: float) -> None:
+        tried.append(timeout_s)
+        raise BusError("no router answers")
+
+    monkeypatch.setattr(bus, "_open", refuses)
+    monkeypatch.setattr(bus, "RETRY_MS", (0, 0))
+    with pytest.raises(BusError):
+        bus._open_client(["tcp/127.0.0.1:9"], None, lambda: len(tried) < 5, 0.4)
+    assert tried == pytest.approx([0.4, 0.8, 1.6, 1.6, 1.6])

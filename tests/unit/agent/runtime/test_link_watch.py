@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.runtime.link_watch import DEAF_NS, PATIENCE_MAX, PERIOD_NS, SOON_NS, LinkWatch
+from agent.runtime.link_watch import DEAF_NS, PATIENCE_MAX, PAUSED_NS, PERIOD_NS, SOON_NS, LinkWatch
 from agent.runtime.tcp_sockets import TcpSockets
 
 TIMEOUT_S = 0.4
@@ -90,6 +90,29 @@ def test_that_goes_for_one_that_was_accepted_too(bench: Bench) -> None:
         near.send(b"keep-alive")
     assert found == [""]
     assert ended(near)
+
+
+def test_where_nothing_is_read_from_many_at_a_time_none_is_deaf(bench: Bench) -> None:
+    links = [bench.connect() for _ in range(6)]
+    for _ in range(20):
+        for near, far in links:
+            near.send(b"keep-alive")
+            far.send(b"keep-alive")
+        assert bench.look(bench.listener) == []
+    for near, far in links[2:]:
+        near.recv(999)
+        far.recv(999)
+    assert bench.look(bench.listener) == ["", ""], "they had waited for long"
+    assert [ended(near) for near, _ in links] == [True, True, False, False, False, False]
+
+
+def test_nor_where_it_is_looked_at_late(bench: Bench) -> None:
+    near, far = bench.connect()
+    for _ in range(20):
+        near.send(b"keep-alive")
+        far.send(b"keep-alive")
+        assert bench.look(bench.opener, PERIOD_NS + PAUSED_NS + 1) == []
+    assert not ended(far)
 
 
 def test_a_link_from_which_something_is_read_is_not(bench: Bench) -> None:

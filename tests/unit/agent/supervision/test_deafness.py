@@ -24,8 +24,8 @@ def beacon(robot: int, now_ns: int, unheard: tuple[int, ...] = ()) -> Beacon:
 class Bench:
     """What a robot hears of robots 2, 3 and 4, five times a second."""
 
-    def __init__(self, *, present: tuple[int, ...] = (2, 3, 4)) -> None:
-        self.deafness = Deafness((2, 3, 4), HORIZON_NS)
+    def __init__(self, *, present: tuple[int, ...] = (2, 3, 4), one_link: bool = False) -> None:
+        self.deafness = Deafness((2, 3, 4), HORIZON_NS, sees_all=not one_link, one_link=one_link)
         self.now_ns = T0
         self.deafness.look(T0, ())
         for robot in present:
@@ -112,6 +112,19 @@ def test_nor_one_of_which_those_who_tell_cannot_know_yet() -> None:
 
 def test_alone_with_another_nothing_can_be_said() -> None:
     assert Bench().run(30, ()) == []
+
+
+def test_where_all_come_over_one_link_nothing_at_all_is_told_by_tokens() -> None:
+    bench = Bench(present=(3, 4), one_link=True)
+    assert bench.run(10, hands=(3, 4), listened=(3, 4)) == []
+    assert bench.run((HORIZON_NS + LATE_NS) / NS_PER_S, (), listened=(3, 4)) == []
+    assert bench.run(1.0, (), listened=(3, 4)) == [3]
+    assert bench.run(20.0, (), listened=(3, 4)) == [3, 3, 3], "after 2, 4 and 8 s"
+    assert Bench(present=(3, 4)).run(30.0, (), listened=(3, 4)) == [], (
+        "over links of their own they may be off"
+    )
+    alone = Bench(present=(), one_link=True)
+    assert alone.run(30.0, (), listened=(3, 4)) == [], "nobody is there"
 
 
 def test_one_that_is_listened_to_and_only_its_beacons_come_is_found() -> None:
