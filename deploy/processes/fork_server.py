@@ -129,7 +129,7 @@ class Server:
         if "fleet" in request:
             with suppress(Error):  # whoever needs it says so
                 if preloaded.preload(request["fleet"]).is_routed:
-                    os.nice(YIELDING)
+                    os.nice(max(0, YIELDING - os.nice(0)))  # once, however many it reads
             self._settle()
             return None
         (log,) = handles

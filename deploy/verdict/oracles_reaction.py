@@ -21,8 +21,9 @@ from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 
 STOP_S: Final = 0.2
 """From a stop to the last plant that brakes, on one machine."""
-STOP_ON_HOSTS_S: Final = 1.0
-"""Likewise on hosts: where the links do not let it through, it comes over ssh."""
+ARRIVES_ON_HOSTS_S: Final = 0.8
+"""On hosts a stop may take so much longer to get to a robot: where links do not let it through, over ssh. No
+longer than until the robot's agent says that it has it."""
 VEHICLE_STAND_S: Final = 5.0
 """A real vehicle may take so long to come to rest: how hard it brakes is not known."""
 AGREED_S: Final = 3.0
@@ -86,12 +87,14 @@ def _first(times: Floats, bad: Flags, down: Down, limit_s: float, end_s: float) 
 
 def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
     """After a stop no plant drives until a resume, and every body comes to a stand."""
-    reacts_s = (STOP_ON_HOSTS_S if fleet.hosts else STOP_S) + reaction_s(recording) - REACTION_S
+    reacts_s = STOP_S + reaction_s(recording) - REACTION_S
     found, is_checked = [], False
     for robot, data in recording.robots.items():
         limit_s = reacts_s + _wrench_delay_s(recording, robot)
         for start_s, end_s in recording.halts(robot):
             is_checked = True
+            if fleet.hosts:
+                start_s += _arrives_s(recording, data, start_s)
             t = data.plant.t
             after = (t > start_s + limit_s) & (t < end_s)
             driven = t[after & (data.plant["driving"] > 0.0)]
@@ -108,6 +111,14 @@ def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] 
                 message = f"Robot {robot} still moved at {moves_s:.2f} s, after the stop at {start_s:.2f} s."
                 found.append(Violation("stopped", moves_s, message))
     return found if is_checked else None
+
+
+def _arrives_s(recording: Recording, data: RobotData, given_s: float) -> float:
+    """How much later than it was given a stop was there, s: as the agent says, and no more than it may be."""
+    versions = [stop.version for stop in recording.stops if recording.fleet_time_s(stop.time_ns) == given_s]
+    status = data.status
+    known = status.t[(status.t >= given_s) & (status.order_versions >= max(versions, default=0))]
+    return min(float(known.min(initial=np.inf)) - given_s, ARRIVES_ON_HOSTS_S)
 
 
 def _moves(

@@ -242,6 +242,15 @@ def test_geofence_excuses_who_begins_outside_and_who_is_driven_by_another() -> N
 # --- processes ----------------------------------------------------------------------------------
 
 
+def knowing(begin_s: float, version: int) -> Change:
+    """From `begin_s` on all agents say that they have a stop."""
+
+    def change(t: float, m: Message) -> Message:
+        return m._replace(order_version=version) if type(m) is Status and t >= begin_s else m
+
+    return change
+
+
 def braking(robot: int, begin_s: float, end_s: float = 9.0) -> Change:
     """The plant of a robot brakes from `begin_s` to `end_s`, and stands."""
 
@@ -344,6 +353,10 @@ def test_stopped() -> None:
     slowly = both(braking(1, 1.9), braking(2, 1.9))
     assert found("stopped", on_hosts, extra=[stop(1.0)], change=slowly) == []
     assert found("stopped", on_hosts, extra=[stop(0.8)], change=slowly)
+    knew = both(slowly, knowing(1.3, 7))  # what came in time is obeyed in time
+    assert found("stopped", on_hosts, extra=[stop(1.0, 7)], change=knew)
+    knew = both(braking(1, 1.4), braking(2, 1.4), knowing(1.3, 7))
+    assert found("stopped", on_hosts, extra=[stop(1.0, 7)], change=knew) == []
     again = both(braking(1, 1.1, 2.5), braking(2, 1.1, 2.5))
     assert found("stopped", PAIR, extra=[stop(1.0, 5)], change=again)
     assert found("stopped", PAIR, extra=[stop(1.0, 5), resume(2.4, 6)], change=again) == []
