@@ -177,3 +177,5 @@ def _check_what(row: Mapping[str, Any], place: str, reader: Reader) -> None:
         reader.add(f"{place}.range", "is between robots: a robot has no distance from its own plant")
     if row.get("jump_probability") is not None and row.get("jump_m") is None:
         reader.add(f"{place}.jump_probability", "needs a jump_m, such as jump_m = 0.5")
+    if row.get("tick_jitter_share") is not None and row.get("tick_jitter") is None:
+        reader.add(f"{place}.tick_jitter_share", 'needs a tick_jitter, such as tick_jitter = "500ms"')

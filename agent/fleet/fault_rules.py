@@ -146,7 +146,7 @@ SENSOR_FIELDS: Final = (
 """Fields of a rule that are about measurements."""
 ACTION_FIELDS: Final = ("kill", "pause", "restart")
 CLOCK_FIELDS: Final = ("clock_skew", "clock_drift")
-PROCESS_FIELDS: Final = (*ACTION_FIELDS, *CLOCK_FIELDS, "tick_jitter")
+PROCESS_FIELDS: Final = (*ACTION_FIELDS, *CLOCK_FIELDS, "tick_jitter", "tick_jitter_share")
 """Fields of a rule that are about processes and their clocks."""
 
 
@@ -246,6 +246,15 @@ class Rule(Impairments):
     )
     tick_jitter: float | None = setting(
         None, "Ticks of agent and plant come late by up to this.", unit="s", ge=0, le=1, example='"5ms"'
+    )
+    tick_jitter_share: float | None = setting(
+        None,
+        "So many of them do, each process's by itself, as on a machine that has too much to do; all where not "
+        "given.",
+        unit="ratio",
+        ge=0,
+        le=1,
+        example='"5%"',
     )
     clock_skew: float | None = setting(
         None,

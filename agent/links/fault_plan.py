@@ -195,10 +195,16 @@ class FaultPlan:
         found = self._settings(SENSOR_FIELDS, robot, time_ns)
         return SensorFaults(**found) if found else None
 
-    def tick_jitter_ns(self, robot: int, time_ns: int) -> int:
-        """By how much at most the ticks of `robot` come late at `time_ns`."""
-        found = self._settings(("tick_jitter",), robot, time_ns)
-        return int(found.get("tick_jitter", 0.0) * NS_PER_S)
+    def tick_jitter(self, robot: int, time_ns: int) -> tuple[int, float]:
+        """By how much at most the ticks of `robot` come late at `time_ns` (ns), and which share does."""
+        for timed in self._timed:
+            rule = timed.rule
+            if rule.tick_jitter is None or (rule.robots is not None and robot not in rule.robots):
+                continue
+            if timed.fraction(time_ns) is not None:
+                share = rule.tick_jitter_share
+                return int(rule.tick_jitter * NS_PER_S), 1.0 if share is None else share
+        return 0, 1.0
 
     def clock(self, robot: int) -> tuple[int, float]:
         """How far the clock of `robot` is ahead (ns), and how much faster it is (1 is twice as fast)."""

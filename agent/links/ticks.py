@@ -49,6 +49,7 @@ class Ticks:
         robot, role = key_expressions.robot_of_alive(node.alive_key) or (0, "")
         self._robot = robot
         self._stream = random_streams.stream(self._plan.seed, "tick", robot, role)
+        self._chosen = random_streams.stream(self._plan.seed, "tick share", robot, role)
         self._changes = -1
         self._jittery = False
         self.plan(now_ns)
@@ -83,8 +84,11 @@ class Ticks:
         return tick_ns, missed, max(late_ns, missed * period_ns)
 
     def _late_ns(self) -> int:
-        """By how much the next tick comes late: a draw for its round, uniform up to the rule's limit."""
+        """By how much the next tick comes late: a draw for its round, uniform up to the rule's limit, for as
+        many as the rule wants late."""
         plan = self._plan
-        most_ns = plan.tick_jitter_ns(self._robot, self._deadline_ns)
-        since_ns = self._deadline_ns - self._phase_ns - (plan.epoch_ns or 0)
-        return int(most_ns * random_streams.uniform(self._stream, since_ns // self._round_ns))
+        most_ns, share = plan.tick_jitter(self._robot, self._deadline_ns)
+        number = (self._deadline_ns - self._phase_ns - (plan.epoch_ns or 0)) // self._round_ns
+        if share < 1.0 and random_streams.uniform(self._chosen, number) >= share:
+            return 0
+        return int(most_ns * random_streams.uniform(self._stream, number))

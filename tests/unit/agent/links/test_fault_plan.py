@@ -156,7 +156,7 @@ def test_sensors_clocks_and_ticks() -> None:
     assert (one.position_noise_m, one.heading_bias_rad) == (0.1, 0.3)
     assert two is not None
     assert (two.position_noise_m, two.dropout) == (0.2, 0.0)
-    assert plan.tick_jitter_ns(1, NOW) == 5_000_000
+    assert plan.tick_jitter(1, NOW) == (5_000_000, 1.0)  # all of them
     assert plan.clock(1) == (0, 0.0)
     assert plan.clock(2) == (-100_000_000, 20e-6)
     assert FaultPlan(fleet()).sensor(1, NOW) is None

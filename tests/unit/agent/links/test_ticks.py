@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from agent.common.time import NS_PER_S
@@ -78,6 +79,18 @@ def test_late_ticks_are_uniform_up_to_the_rules_limit():
         late = np.array([(time_ns - node.phase_ns) % PERIOD for time_ns in told(node, 3000)])
         assert late.max() < 5 * MS
         assert stats.kstest(late / (5 * MS), "uniform").pvalue > 1e-3
+
+
+def test_of_late_ticks_there_may_be_a_share_and_which_they_are_differs_by_process():
+    rule = '{ robot = [1, 2], tick_jitter = 0.005, tick_jitter_share = "20%" }'
+    chosen = []
+    for node in (plant(fleet(rule)), plant(fleet(rule), 2), Agent(fleet(rule), 1)):
+        late = np.array([(time_ns - node.phase_ns) % PERIOD for time_ns in told(node, 3000)])
+        assert np.mean(late > 0) == pytest.approx(0.2, abs=0.03)
+        assert stats.kstest(late[late > 0] / (5 * MS), "uniform").pvalue > 1e-3
+        chosen.append(late > 0)
+    assert not np.array_equal(chosen[0], chosen[1])
+    assert not np.array_equal(chosen[0], chosen[2])
 
 
 def test_late_ticks_differ_by_seed_robot_and_role_and_not_by_when_one_looks():
