@@ -19,6 +19,7 @@ from agent.control.controller import Controller
 from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
+from agent.control.peers.lateness import OUTAGE_NS
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice, MissionRefused
@@ -51,6 +52,10 @@ from agent.supervision.situation import Situation
 from agent.supervision.state_machine import ACTIVE, DRIVING, State, step
 from agent.supervision.status import StatusReport
 
+STOOD_NS: Final = 2 * OUTAGE_NS
+"""It is told for how much of the time since then the own process did not run: whoever hears it looks no
+further back for what may be lost."""
+
 
 class Agent:
     """The agent of robot `robot` of `fleet`, an `agent.node.Node`.
@@ -77,6 +82,7 @@ class Agent:
         self._controller = Controller(fleet, geometry, robot)
         self._peers = self._controller.peers
         self._overload = Overload(pace.steps(fleet), fleet.period_ns, pace.gap_ns(fleet))
+        self._stood_until_ns = 0
         self._speed_share = partial(pace.speed_share, fleet)
         self._peers.missed_ns = self._overload.missed_ns
         self._trust = NeighbourTrust(fleet, self._controller, self._overload)
@@ -222,8 +228,10 @@ class Agent:
     def late(self, now_ns: int, late_ns: int) -> None:
         """See `agent.node.Node`: it may want a lower rate, and has not heard what it could not."""
         self._overload.late(now_ns, late_ns)
-        # By the time of the tick what comes now would be quicker than it was.
+        # By the time of the tick what comes now would be quicker than it was, and what came meanwhile older.
         self._peers.behind_ns = late_ns % self.period_ns
+        self._peers.stood = late_ns >= self.period_ns
+        self._stood_until_ns = now_ns + STOOD_NS
 
     def _accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
         if beacon.overload or not self._overload.idle:
@@ -326,6 +334,8 @@ class Agent:
         situation = self._situation
         if not self._overload.idle:
             self._keep_pace(now_ns)
+        if self._stood_until_ns:
+            self._tell_how_long_it_stood(now_ns)
         self._peers.begin(now_ns)
         self._ingress.arrive(now_ns)
         self._controller.look(now_ns)
@@ -362,7 +372,7 @@ class Agent:
     def _keep_pace(self, now_ns: int) -> None:
         """Decides as often as the slowest machine of the fleet can, and drives as fast as that allows."""
         overload, peers = self._overload, self._peers
-        peers.behind_ns = 0
+        peers.behind_ns, peers.stood = 0, False
         if overload.look(now_ns, drives=self.state in ACTIVE):
             self.period_ns = period_ns = overload.period_ns
             self._controller.keep_pace(period_ns, self._speed_share(overload.level))
@@ -370,6 +380,12 @@ class Agent:
             peers.keep_pace(period_ns)
             self._outbox.keep_pace(period_ns)
         self._outbox.overload = overload.wanted
+
+    def _tell_how_long_it_stood(self, now_ns: int) -> None:
+        """What it did not say then has not been lost on its links."""
+        if now_ns >= self._stood_until_ns:
+            self._stood_until_ns = 0
+        self._outbox.stood_ms = self._overload.missed_ns(now_ns - STOOD_NS) // NS_PER_MS
 
     def _find_hand(self, now_ns: int) -> Hand | None:
         """Where the own hand is; None when the plant does not tell."""

@@ -100,6 +100,15 @@ _NEXT: Final = About(
     before=0,
     omitted=True,
 )
+_STOOD: Final = About(
+    "For how much of the last seconds its process did not run, though it should have: what it did not say "
+    "then is not lost",
+    "ms",
+    least=0,
+    most=60_000,
+    before=0,
+    omitted=True,
+)
 _OVERLOAD: Final = About(
     "By how many steps it wants the rate of all to fall, as its machine cannot keep it",
     least=0,
@@ -197,6 +206,7 @@ class HandState(NamedTuple):
         About("Numbers of its law's own, for its neighbours' laws", rows=OWN_MAX, before=(), omitted=True),
     ] = ()
     next_ms: Annotated[int, _NEXT] = 0
+    stood_ms: Annotated[int, _STOOD] = 0
 
     @classmethod
     def placed(
@@ -595,6 +605,7 @@ class Beacon(NamedTuple):
     ] = ()
     next_ms: Annotated[int, _NEXT] = 0
     overload: Annotated[int, _OVERLOAD] = 0
+    stood_ms: Annotated[int, _STOOD] = 0
 
     @property
     def place(self) -> tuple[float, float, float, float]:

@@ -38,6 +38,7 @@ class Outbox:
     Attributes:
         keys: on which it publishes.
         overload: by how many steps it wants the rate of all to fall.
+        stood_ms: for how much of the last seconds its process did not run.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class Outbox:
         self._key_beacon = key_expressions.beacon(name, robot)
         self._clock: tuple[int, ...] = ()
         self._period_ns, self._next_ms = period_ns, 0
-        self.overload = 0
+        self.overload = self.stood_ms = 0
         self.keys: Final = (self._key_wrench, self._key_hand, self._key_beacon)
 
     def runs_by(self, clock: MachineClock) -> None:
@@ -119,6 +120,7 @@ class Outbox:
             heard,
             own,
             self._next_ms,
+            self.stood_ms,
         )
         if event is not None:
             round_ns = (now_ns - self._phase_ns) // self._period_ns * self._period_ns
@@ -154,4 +156,5 @@ class Outbox:
             self._peers.silent(now_ns),
             self._peers.given_up(now_ns),
             overload=self.overload,
+            stood_ms=self.stood_ms,
         )

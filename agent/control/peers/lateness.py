@@ -66,14 +66,14 @@ class Lateness:
         """How long a message takes, give or take its scatter."""
         return max(0, self._mean_ns + 2 * self._scatter_ns)
 
-    def take(self, now_ns: int, age_ns: int, gap_ns: int | None, expected_ns: int) -> None:
+    def take(self, now_ns: int, age_ns: int | None, gap_ns: int | None, expected_ns: int) -> None:
         """Takes a message.
 
         Of those that come at once, in a burst, the first says how old what was known had got.
 
         Args:
             now_ns: when it was taken.
-            age_ns: its age then.
+            age_ns: its age then, None where it waited for the own process.
             gap_ns: between its stamp and that of the one before, None where that was not awaited.
             expected_ns: between two messages.
         """
@@ -102,7 +102,7 @@ class Lateness:
     def take_promised(
         self,
         now_ns: int,
-        age_ns: int,
+        age_ns: int | None,
         gap_ns: int | None,
         promised_ns: int,
         most_ns: int,
@@ -135,7 +135,9 @@ class Lateness:
             self.usual_ns = min(aged_ns, self.forgiven_ns + UNSURE_NS)
         self.missed_ns = min(self._run_ns(promised_ns) - promised_ns, OUTAGE_PERIODS * promised_ns)
 
-    def _age(self, now_ns: int, age_ns: int) -> None:
+    def _age(self, now_ns: int, age_ns: int | None) -> None:
+        if age_ns is None:
+            return
         if self._mean_ns < 0:
             self._mean_ns, self._scatter_ns = max(0, age_ns), max(0, age_ns) >> 1
         elif now_ns != self._taken_ns:

@@ -191,6 +191,7 @@ class Peers:
 
     Attributes:
         behind_ns: how long after its time the tick begins whose messages are taken.
+        stood: whether ticks before that were missed: what waited meanwhile is no older on its link than ever.
         missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
@@ -216,6 +217,7 @@ class Peers:
         self._owner = owner
         self._period_ns = self._round_ns = period_ns
         self.behind_ns = 0
+        self.stood = False
         self.missed_ns: Callable[[int], int] = _none_missed
         self._beacon_ns = beacon_ns
         self._rest_ns = max(0, beacon_max_ns - beacon_ns)
@@ -466,14 +468,14 @@ class Peers:
         peer.next_ns = max(self._beacon_ns, beacon.next_ms * NS_PER_MS)
         before = peer.message
         if peer.hand_next_ns and since_ns <= peer.hand_next_ns + OUTAGE_NS:  # of two one says how late it is
-            self._note_promised(peer, time_ns, now_ns, expected_ns)
+            self._note_promised(peer, beacon, now_ns, expected_ns)
         elif self._beacon_ns < since_ns <= OUTAGE_NS:
             if peer.lateness.heeds or self.is_seldom(peer) or expected_ns > self._beacon_ns:
                 self._expect_beacon(peer)
         elif since_ns > OUTAGE_NS:  # else its hand states say how late it is
             age_ns = now_ns + peer.clock.used_ns - time_ns
             gap_ns = None if peer.direct_ns == _NEVER else time_ns - peer.direct_ns
-            _note(peer.lateness, now_ns, age_ns, gap_ns, expected_ns)
+            self._note(peer, beacon, now_ns, age_ns, gap_ns, expected_ns)
             if peer.next_ns != expected_ns or (peer.listened and self.is_seldom(peer)):
                 self._expect_beacon(peer)
         if time_ns > peer.direct_ns:
@@ -528,12 +530,12 @@ class Peers:
             peer.delayed += 1
         peer.lateness.most_ns = LATE_MAX_NS
         if message.next_ms or peer.hand_next_ns:
-            self._note_promised(peer, time_ns, now_ns, peer.next_ns)
+            self._note_promised(peer, message, now_ns, peer.next_ns)
             peer.hand_next_ns = message.next_ms * NS_PER_MS
             peer.off_m = self._bound_m if peer.hand_next_ns else 0.0
             self._expect_promised(peer)
         else:
-            _note(peer.lateness, now_ns, age_ns, gap_ns, period_ns)
+            self._note(peer, message, now_ns, age_ns, gap_ns, period_ns)
         if not peer.listened and self.is_seldom(peer):  # it was on its way when it was ignored: the last one
             self._expect_beacon(peer)
         peer.hand_ns = time_ns
@@ -557,15 +559,31 @@ class Peers:
         elif peer.hand_next_ns and peer.message is not None:  # a beacon was quicker, which has no forces
             peer.message = self.forecast.forces_of(message, peer.message)
 
-    def _note_promised(self, peer: Peer, time_ns: int, now_ns: int, beacon_ns: int) -> None:
+    def _note(
+        self,
+        peer: Peer,
+        message: HandState | Beacon,
+        now_ns: int,
+        age_ns: int,
+        gap_ns: int | None,
+        period_ns: int,
+    ) -> None:
+        """Has a message counted where it says something: most come in time, and have nothing to say."""
+        lateness = peer.lateness
+        if lateness.heeds or age_ns > IN_TIME_NS or gap_ns is None or 2 * gap_ns > 3 * period_ns:
+            age = None if self.stood else age_ns
+            lateness.take(now_ns, age, _missing(peer, message, gap_ns), period_ns)
+
+    def _note_promised(self, peer: Peer, message: HandState | Beacon, now_ns: int, beacon_ns: int) -> None:
         """Has a message counted before which no hand state was due for a while.
 
         A beacon was due within `beacon_ns`: of the two the one that is due first says how late they are.
         """
-        gap_ns = time_ns - peer.direct_ns
+        gap_ns = message.time_ns - peer.direct_ns
         due_ns = min(peer.hand_next_ns or self._round_ns, beacon_ns)
-        age_ns = now_ns + peer.clock.used_ns - time_ns
-        peer.lateness.take_promised(now_ns, age_ns, gap_ns if gap_ns > 0 else None, due_ns, self._beacon_ns)
+        age_ns = None if self.stood else now_ns + peer.clock.used_ns - message.time_ns
+        missing_ns = _missing(peer, message, gap_ns if gap_ns > 0 else None)
+        peer.lateness.take_promised(now_ns, age_ns, missing_ns, due_ns, self._beacon_ns)
         self._expect_promised(peer)
 
     def _expect_promised(self, peer: Peer) -> None:
@@ -717,10 +735,16 @@ def _by_hand(peer: Peer) -> int:
     return peer.hand_ns
 
 
-def _note(lateness: Lateness, now_ns: int, age_ns: int, gap_ns: int | None, period_ns: int) -> None:
-    """Has a message counted where it says something: most come in time, and have nothing to say."""
-    if lateness.heeds or age_ns > IN_TIME_NS or gap_ns is None or 2 * gap_ns > 3 * period_ns:
-        lateness.take(now_ns, age_ns, gap_ns, period_ns)
+def _missing(peer: Peer, message: HandState | Beacon, gap_ns: int | None) -> int | None:
+    """The gap before a message, as far as its link may have made it; None where that says nothing.
+
+    A process that stood has said nothing, and its body has braked. Whoever took that for a bad link would
+    predict it as one that drives on, the next time that it stands. Nor is one missed that has said that it
+    does not know where its body is: after a while it says nothing more.
+    """
+    before = peer.message
+    is_lost = before is not None and before.doubt > 0.0 and not before.following
+    return None if message.stood_ms or is_lost else gap_ns
 
 
 def _refuse(peer: Peer, same: bool) -> str:

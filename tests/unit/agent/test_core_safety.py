@@ -423,3 +423,16 @@ def test_a_robot_that_does_not_know_where_it_is_does_not_say_that_it_drives():
     assert out.beacon is None
     assert bench.state is State.FAULT
     assert bench.agent.reason
+
+
+def test_a_process_that_stood_says_so_for_a_while():
+    """What it did not say meanwhile is no message that was lost."""
+    bench = Bench()
+    bench.drive()
+    assert bench.tick().hand.stood_ms == 0
+    bench.now += 10 * PERIOD
+    bench.agent.late(bench.now, 10 * PERIOD)
+    assert bench.tick().hand.stood_ms == 10 * PERIOD // 1_000_000
+    said = [out.hand.stood_ms for out in bench.run(round(2.2 * NS_PER_S / PERIOD))]
+    assert said[0] == 10 * PERIOD // 1_000_000
+    assert said[-1] == 0

@@ -99,7 +99,7 @@ CHECKS = Checks(3, 13, 10**18, (LINE, ("mode", "blocking", "MANUAL", "set GUIDED
 MESSAGES = [
     HAND, PLANT, WRENCH, MISSION, STOP, STATUS, FAULTS, TRACE, EVENT, RESUME, CHECKS, BEACON, HEARTBEAT, ASK,
 ]  # fmt: skip
-LEFT_OUT = {HandState: 2, Wrench: 1, Status: 1, Beacon: 2}
+LEFT_OUT = {HandState: 3, Wrench: 1, Status: 1, Beacon: 3}
 NUMBER = {type(message): number for number, message in enumerate(MESSAGES)}
 
 
@@ -145,6 +145,8 @@ def test_of_fields_that_may_be_left_out_those_go_before_one_that_is_not():
         HAND._replace(next_ms=400),
         HAND._replace(own=(1.5,)),
         HAND._replace(own=(1.5,), next_ms=60_000),
+        HAND._replace(stood_ms=1500),
+        BEACON._replace(stood_ms=60_000),
     ):
         assert decode(encode(told)) == told
     sent = [len(encode(message)) for message in (HAND, HAND._replace(own=(1.5,)), HAND._replace(next_ms=1))]

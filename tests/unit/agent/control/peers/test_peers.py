@@ -188,6 +188,47 @@ def test_one_outage_does_not_make_a_link_late():
     assert known.get(2).lateness.forgiven_ns == 0
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_robot_whose_process_stands_now_and_then_is_silent_and_not_late(stands: bool):
+    """Its body brakes meanwhile: predicted as one that drives on, it would be where nobody looks for it."""
+    known, stamp = peers(), T0
+    for k in range(200):
+        stamp += 8 * PERIOD if k % 12 == 11 else PERIOD
+        stood_ms = 140 if stands and k % 12 == 11 else 0
+        heard(known, message(2, k, stamp)._replace(stood_ms=stood_ms), now_ns=stamp + PERIOD)
+    lateness = known.get(2).lateness
+    if stands:
+        assert lateness.forgiven_ns == 0
+    else:  # lost by its link, they are what is usual there
+        assert lateness.forgiven_ns > S // 2
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_who_does_not_know_where_its_body_is_may_fall_silent_for_that(knows: bool):
+    known, stamp = peers(), T0
+    for k in range(200):
+        lost = not knows and k % 12 == 11
+        stamp += PERIOD if k % 12 else 8 * PERIOD
+        said = message(2, k, stamp, not lost)._replace(doubt=0.1 if lost else 0.0)
+        heard(known, said, now_ns=stamp + PERIOD)
+    assert (known.get(2).lateness.forgiven_ns > S // 2) is knows
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_what_waited_while_the_own_process_stood_was_not_late(stands: bool):
+    known, now = peers(), T0
+    for k in range(60):
+        now = T0 + (k + 1) * PERIOD
+        if 20 <= k < 50:
+            continue  # it stands, and they wait
+        known.stood = stands and k == 50
+        for number in range(20, 51) if k == 50 else (k,):
+            heard(known, message(2, number, T0 + number * PERIOD), now_ns=now)
+        if k == 50:
+            assert (known.get(2).lateness.forgiven_ns > 0) is not stands
+    assert known.get(2).lost == 0
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.5])
 def test_of_whom_only_beacons_are_listened_to_two_may_be_lost(late_s: float):
     """Where hand states were lost, beacons are, and they are rarer."""
