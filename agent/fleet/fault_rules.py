@@ -249,8 +249,8 @@ class Rule(Impairments):
     )
     tick_jitter_share: float | None = setting(
         None,
-        "So many of them do, each process's by itself, as on a machine that has too much to do; all where not "
-        "given.",
+        "So many of them do, each process's by itself, as on a machine that has too much to do; all where "
+        "not given.",
         unit="ratio",
         ge=0,
         le=1,
