@@ -81,6 +81,8 @@ class Agent:
         self._missions = MissionChoice(fleet, geometry)
         self._controller = Controller(fleet, geometry, robot)
         self._peers = self._controller.peers
+        self._rest_period_ns = pace.rest_period_ns(fleet)
+        self._rests = False
         self._overload = Overload(pace.steps(fleet), fleet.period_ns, pace.gap_ns(fleet))
         self._stood_until_ns = 0
         self._speed_share = partial(pace.speed_share, fleet)
@@ -102,7 +104,7 @@ class Agent:
         self._hands = {key: other for other, key in self._hand_of.items()}
         self._said_by = {key: (other, True) for key, other in self._hands.items()}
         self._said_by |= {key_expressions.beacon(name, other): (other, False) for other in others}
-        self._watches_all = fleet.beacon_rounds_max == fleet.beacon_rounds
+        self._watches_all = not fleet.is_large
         horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         self._deafness = Deafness(
             others, horizon_ns, fleet.hands_within_ns, sees_all=self._watches_all, one_link=fleet.is_routed
@@ -332,8 +334,9 @@ class Agent:
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
         situation = self._situation
-        if not self._overload.idle:
-            self._keep_pace(now_ns)
+        rests = self._rest_period_ns > 0 and not self._peers.tells(now_ns)
+        if rests is not self._rests or not self._overload.idle:
+            self._keep_pace(now_ns, rests=rests)
         if self._stood_until_ns:
             self._tell_how_long_it_stood(now_ns)
         self._peers.begin(now_ns)
@@ -369,17 +372,19 @@ class Agent:
             out = self._radio.send(now_ns, out, len(self._listened))
         return out
 
-    def _keep_pace(self, now_ns: int) -> None:
-        """Decides as often as the slowest machine of the fleet can, and drives as fast as that allows."""
+    def _keep_pace(self, now_ns: int, *, rests: bool) -> None:
+        """Decides as often as the slowest machine of the fleet can, and drives as fast as that allows; rarely
+        while it `rests`."""
         overload, peers = self._overload, self._peers
         peers.behind_ns, peers.stood = 0, False
-        if overload.look(now_ns, drives=self.state in ACTIVE):
-            self.period_ns = period_ns = overload.period_ns
+        if overload.look(now_ns, drives=self.state in ACTIVE) or rests is not self._rests:
+            self._rests = rests
+            self.period_ns = period_ns = max(overload.period_ns, self._rest_period_ns * rests)
             self._controller.keep_pace(period_ns, self._speed_share(overload.level))
             self._trust.period_s = period_ns / NS_PER_S
             peers.keep_pace(period_ns)
             self._outbox.keep_pace(period_ns)
-        self._outbox.overload = overload.wanted
+        self._outbox.overload, self._outbox.others_overload = overload.wanted, overload.others
 
     def _tell_how_long_it_stood(self, now_ns: int) -> None:
         """What it did not say then has not been lost on its links."""
@@ -510,7 +515,7 @@ def _event_trigger(fleet: Fleet, controller: Controller) -> EventTrigger | None:
         fleet.hands_within_ns,
         predicts=control.prediction,
         slopes=controller.coupling.slopes,
-        missed=missed if fleet.beacon_rounds_max > fleet.beacon_rounds else None,
+        missed=missed if fleet.is_large else None,
     )
 
 

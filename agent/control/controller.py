@@ -48,6 +48,8 @@ LOOK_AHEAD_NS: Final = NS_PER_S
 """So long before the epoch a robot begins to look whose way it may be in."""
 LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often robots that are near are looked for, ns."""
+REST_PERIOD_NS: Final = NS_PER_S // 2
+"""As `LOOK_PERIOD_NS`, in a large fleet while no mission is near."""
 REFERENCES_MAX: Final = 8
 """So many missions are remembered, for those who have not heard the latest."""
 STANDS_NS: Final = 2 * NS_PER_S
@@ -234,7 +236,8 @@ class Controller:
         begins = before and not self.rests and now_ns > epoch_ns - LOOK_PERIOD_NS
         if (now_ns < self._due_ns and not begins) or not self.proximity.enabled:
             return False
-        self._due_ns = now_ns + LOOK_PERIOD_NS
+        waits = self.rests and not held and self.proximity.is_large
+        self._due_ns = now_ns + (REST_PERIOD_NS if waits else LOOK_PERIOD_NS)
         # While a large fleet starts, or its machines have too much to do, many are not heard: where they
         # might drive is worked out once it matters.
         passing = bool(detour.round)

@@ -15,6 +15,8 @@ from agent.fleet.model import Fleet
 
 PERIOD_MAX_S: Final = 0.25
 """No step has a longer period: what is older counts as late (`UNSURE_NS`), and a stop waits no longer."""
+REST_PERIOD_MAX_S: Final = 0.4
+"""In a large fleet, while no mission is near."""
 STEPS_MAX: Final = 8
 _ROUNDING: Final = 1e-9
 
@@ -25,6 +27,18 @@ def steps(fleet: Fleet) -> int:
     while step < STEPS_MAX and not why_not(fleet, step + 1):
         step += 1
     return step
+
+
+def rest_period_ns(fleet: Fleet) -> int:
+    """Time between two ticks of an agent of a large fleet while no mission is near, a power of two of periods,
+    ns; 0 for the usual. Of hundreds of processes that only wait, the machine is to have something left for
+    those that start."""
+    if not fleet.is_large:
+        return 0
+    period_ns = fleet.period_ns
+    while 2 * period_ns <= REST_PERIOD_MAX_S * NS_PER_S * (1.0 + _ROUNDING):
+        period_ns *= 2
+    return period_ns if period_ns > fleet.period_ns else 0
 
 
 def gap_ns(fleet: Fleet) -> int:

@@ -14,10 +14,11 @@ from agent.common.quantities import DISTANCE_MIN
 from agent.common.time import NS_PER_S
 from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
-from agent.control.peers.beliefs import Stretch
+from agent.control.peers.beliefs import DOUBT_RATE, Stretch
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peer, Peers
 from agent.control.safety_distances import (
+    acceleration_max,
     avoidance_distance,
     barrier_rate,
     clearance,
@@ -29,14 +30,17 @@ from agent.formation.mission_plan import Plan
 
 AHEAD_S: Final = 0.5
 """A robot that comes closer is listened to so much earlier: beacons and looks take about as long."""
-STAY_M: Final = 0.3
+STAY_M: Final = 0.15
 """A robot is listened to until it is so much further away than the sensing distance."""
 FASTER: Final = 1.2
 """No body is so many times as fast as robots may be."""
 SILENT_PER_LOOK: Final = 2
 """Of so many that have fallen silent it is worked out at one look where they may be."""
-REST_MAX_NS: Final = NS_PER_S // 2
+REST_MAX_NS: Final = NS_PER_S
 """Whoever is far away is looked at again after so long at the latest."""
+LOOK_MANY_NS: Final = 3 * NS_PER_S // 20
+"""In a large fleet whoever is not near is looked at again at the second look after this at the soonest: that
+and the time between two beacons are still less than `AHEAD_S`."""
 
 
 class Proximity:
@@ -47,7 +51,7 @@ class Proximity:
         distance: d_a, m.
         clearance: how near the hand may come to an obstacle, m.
         obstacles, fence: of the fleet file; the fence None without one.
-        is_large: whether there are so many robots that most say rarely where they are.
+        is_large: see `agent.fleet.model.Fleet.is_large`.
     """
 
     def __init__(self, fleet: Fleet, robot: int, peers: Peers) -> None:
@@ -64,8 +68,11 @@ class Proximity:
         self._keep = self._safe + fleet.avoidance.margin_m
         self._until_seen_s = AHEAD_S + 1.0 / barrier_rate(fleet)  # then the filter begins to brake
         self._soon = self._keep + self._until_seen_s * speed_max(fleet)
-        self.is_large: Final = fleet.beacon_rounds_max > fleet.beacon_rounds
+        self.is_large: Final = fleet.is_large
         self._closing = 2.0 * FASTER * speed_max(fleet)  # two that make for each other, m/s
+        # Of one that goes as it said only the own velocity changes: by a t. What that makes of the way in t,
+        # and in `AHEAD_S`, is at most so much times t, up to `AHEAD_S`.
+        self._turning = FASTER * acceleration_max(fleet) * 1.5 * AHEAD_S + DOUBT_RATE
 
     def plan(self, plan: Plan) -> None:
         """Takes the formation that holds from now on."""
@@ -126,8 +133,12 @@ class Proximity:
             ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
             dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
             vx, vy, reach = message.vx, message.vy, peer.doubt(now_ns)
+            speed = hypot(vx - here.vx, vy - here.vy)
+            seldom = self._peers.is_seldom(peer)
+            if seldom:  # it may come to a stand anywhere
+                speed = max(speed, hypot(vx, vy), hypot(here.vx, here.vy))
             if age_ns > UNSURE_NS:
-                if self._peers.is_seldom(peer):
+                if seldom:
                     stood = hypot(dx, dy) - ahead_s * hypot(vx, vy)
                     if stood < self._soon:
                         way = Stretch(message.x, message.y, ahead_s * vx, ahead_s * vy, 0.0, 0.0)
@@ -148,18 +159,26 @@ class Proximity:
                 return False
             dx, dy, reach = belief.x - here.x, belief.y - here.y, belief.reach
             vx = vy = 0.0
+            speed = self._closing
         away = hypot(dx, dy)
         parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
         reach += self.sensing + (STAY_M if peer in self.close else 0.0)
-        rest_s = (min(away, stood) - reach) / self._closing - AHEAD_S
+        room = min(away, stood) - reach
+        as_said_s = min(AHEAD_S, (room - speed * AHEAD_S) / (speed + self._turning))
+        rest_s = max(room / self._closing - AHEAD_S, as_said_s)
         if rest_s > 0.0:
-            peer.far_until_ns = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
+            rest_ns = min(REST_MAX_NS, int(rest_s * NS_PER_S))
+            peer.far_until_ns = now_ns + (max(rest_ns, LOOK_MANY_NS) if self.is_large else rest_ns)
             return False
         if stood < self._keep + self._until_seen_s * hypot(here.vx, here.vy):
             # It says seldom where it is, and may have come to a stand anywhere on its way. Whoever is
             # listened to and silent is noticed in time to brake for it.
             return True
-        return away + min(0.0, parting) * AHEAD_S < reach
+        if away + min(0.0, parting) * AHEAD_S < reach:
+            return True
+        if self.is_large:
+            peer.far_until_ns = now_ns + LOOK_MANY_NS
+        return False
 
     def fence_distance(self, x: float, y: float) -> float:
         """How far inside the geofence a point is, m, below 0 outside; inf further in than it warns."""

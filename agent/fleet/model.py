@@ -171,6 +171,12 @@ class Fleet:
         return max(1, turns) * self.beacon_rounds
 
     @property
+    def is_large(self) -> bool:
+        """Whether there are so many robots that each tells seldom what is no news, and works out little at a
+        time about those that it does not hear."""
+        return self.beacon_rounds_max > self.beacon_rounds
+
+    @property
     def hands_within_ns(self) -> int:
         """Within so long a robot sends two hand states, whatever happens, ns."""
         control, period_ns = self.control, self.period_ns
@@ -179,7 +185,7 @@ class Fleet:
         if control.send_every_s is not None:
             return max(period_ns, round(control.send_every_s * 1e9))
         most_s = min(SEND_PERIODS / self.fleet.rate_hz, 0.5 * control.prediction_horizon_s)
-        if self.beacon_rounds_max > self.beacon_rounds:
+        if self.is_large:
             most_s = min(most_s, SEND_ALONE_S)
         return max(period_ns, round(most_s * 1e9))
 

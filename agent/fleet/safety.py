@@ -20,7 +20,7 @@ CORNERS_MAX: Final = 200
 
 BEACONS_MANY: Final = 24
 """Robots of a larger fleet tell where they are less often, where nothing is new of it..."""
-BEACONS_HZ: Final = 50
+BEACONS_HZ: Final = 25
 """...so that each hears so many beacons a second, as many as of one neighbour's hand states at 50 Hz."""
 
 _SLOW_SHARE: Final = 0.75

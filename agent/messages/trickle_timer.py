@@ -37,12 +37,18 @@ class TrickleTimer:
         """What is to be said is not what was said last, or somebody seems to have missed it."""
         self._changed = True
 
-    def is_due(self, now_ns: int) -> bool:
-        """Whether it is to be said at `now_ns`; whoever says it calls `said`."""
+    def is_due(self, now_ns: int, again_ns: int = 0) -> bool:
+        """Whether it is to be said at `now_ns`; whoever says it calls `said`.
+
+        Args:
+            again_ns: so much later this is asked again, if that is known: what was promised is kept.
+        """
         if self._said_ns is None:
             return True
         since_ns = now_ns - self._said_ns
-        return since_ns >= self.next_ns or (self._changed and since_ns >= self.least_ns)
+        if since_ns >= self.next_ns or since_ns + again_ns > self.next_ns:
+            return True
+        return self._changed and since_ns >= self.least_ns
 
     def said(self, now_ns: int, *, most_ns: int | None = None) -> int:
         """It is said at `now_ns`: returns within how long it is said again, ns.

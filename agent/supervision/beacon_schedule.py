@@ -9,6 +9,7 @@ after `Fleet.beacon_rounds_max`, or `WAY_M`, at the latest. Each beacon says unt
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import hypot
 from typing import Final
 
@@ -22,6 +23,9 @@ SURE_M: Final = 0.03
 """A place is told again that is off by so much more than its age makes up for: measurements scatter."""
 WAY_M: Final = 0.5
 """When it has gone so far it says it at the latest: it may have come to a stand on any of it."""
+HURRIES_HZ: Final = 25
+"""So many times a second all robots of a fleet together hurry for what can wait for their next beacon: whom they
+do not hear, and what they know of those. What a fleet adds to its own trouble is bounded."""
 RELAY_NS: Final = NS_PER_S
 """A robot that others do not hear is told of again after so long at the latest."""
 
@@ -36,6 +40,11 @@ class BeaconSchedule:
 
     Attributes:
         is_seldom: whether there are turns at which nothing is said.
+        minds: while no mission is near, the robots of which it is news whether they hear each other and this
+            one: of all others that are not there yet, in a fleet that starts, everybody would tell everybody.
+            None once a mission is near: then of all.
+        tick_ns: time between two ticks.
+        level: by how many steps the others want the rate to fall: who wants no more has no news.
     """
 
     def __init__(self, fleet: Fleet, robot: int, phase_ns: int) -> None:
@@ -43,7 +52,12 @@ class BeaconSchedule:
         self._rounds = fleet.beacon_rounds
         least_ns, most_ns = self._rounds * fleet.period_ns, fleet.beacon_rounds_max * fleet.period_ns
         self._timer = TrickleTimer(least_ns, most_ns)
-        self.is_seldom: Final = most_ns > least_ns
+        self.is_seldom: Final = fleet.is_large
+        self.minds: Collection[int] | None = None
+        self.level = 0
+        self.tick_ns = fleet.period_ns
+        self._pause_ns: Final = len(fleet.robots) * NS_PER_S // HURRIES_HZ
+        self._hurried_ns, self._is_missed = -self._pause_ns, False
         self._turn: int | None = None
         self._said: Beacon | None = None
         self._rows: dict[int, Silent] = {}
@@ -61,20 +75,33 @@ class BeaconSchedule:
         if not self.is_seldom:
             return beacon
         timer, now_ns = self._timer, beacon.time_ns
-        if self._said is None or _is_news(beacon, self._said) or self._tells_news(beacon):
+        said = self._said
+        if said is None or _presses(beacon, said) or beacon.overload > max(said.overload, self.level):
             timer.changed()
-        if not timer.is_due(now_ns):
+        elif now_ns - self._hurried_ns >= self._pause_ns and self._has_news(beacon, said):
+            self._hurried_ns, self._is_missed = now_ns, False
+            timer.changed()
+        if not timer.is_due(now_ns, max(self.tick_ns, timer.least_ns)):
             return None
         most_ns = RELAY_NS if any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent) else timer.most_ns
         speed = hypot(beacon.vx, beacon.vy)
         if speed * most_ns > WAY_M * NS_PER_S:
             most_ns = round(WAY_M / speed * NS_PER_S) // timer.least_ns * timer.least_ns
-        next_ns = timer.said(now_ns, most_ns=most_ns)
+        next_ns = max(self.tick_ns, timer.said(now_ns, most_ns=most_ns))
         self._said = beacon
         if len(beacon.silent) < SILENT_MAX:
             self._rows.clear()
         self._rows.update((row.robot, row) for row in beacon.silent)
-        return beacon if next_ns == timer.least_ns else beacon._replace(next_ms=next_ns // NS_PER_MS)
+        return beacon if next_ns <= timer.least_ns else beacon._replace(next_ms=next_ns // NS_PER_MS)
+
+    def _has_news(self, beacon: Beacon, said: Beacon) -> bool:
+        """Whether others do not know all that `beacon` tells, who have heard `said`."""
+        if self._is_missed or self._tells_news(beacon):
+            return True
+        minds = self.minds
+        if minds is None:
+            return beacon.unheard != said.unheard or beacon.overload != said.overload
+        return not set(beacon.unheard).symmetric_difference(said.unheard).isdisjoint(minds)
 
     def _tells_news(self, beacon: Beacon) -> bool:
         """Whether it tells something new of a silent robot."""
@@ -91,23 +118,21 @@ class BeaconSchedule:
         before = self._heard.get(beacon.robot)
         if told != before:
             self._heard[beacon.robot] = told
-            if told[0] != own or told[1]:
+            if told[0] != own:
                 self._timer.changed()
+            if told[1] and (self.minds is None or beacon.robot in self.minds):
+                self._is_missed = True
 
 
 def _marks(beacon: Beacon) -> _Marks:
     return beacon.mission_version, beacon.mission_tag, beacon.stop_version, beacon.resume_version
 
 
-def _is_news(beacon: Beacon, said: Beacon) -> bool:
-    """Whether others do not know what `beacon` tells of its sender, who have heard `said`."""
+def _presses(beacon: Beacon, said: Beacon) -> bool:
+    """Whether others go by what is not so any more, who have heard `said`: where it is, what it does."""
     if beacon.following is not said.following or _marks(beacon) != _marks(said):
         return True
-    if beacon.overload != said.overload:
-        return True
-    if beacon.unheard != said.unheard or abs(beacon.doubt - said.doubt) > SURE_M:
-        return True
-    return _is_elsewhere(beacon, said)
+    return abs(beacon.doubt - said.doubt) > SURE_M or _is_elsewhere(beacon, said)
 
 
 def _is_elsewhere(now: Beacon | Silent, said: Beacon | Silent) -> bool:

@@ -63,7 +63,7 @@ class Outbox:
         self._key_beacon = key_expressions.beacon(name, robot)
         self._clock: tuple[int, ...] = ()
         self._period_ns, self._next_ms = period_ns, 0
-        self.overload = self.stood_ms = 0
+        self.overload = self.others_overload = self.stood_ms = 0
         self.keys: Final = (self._key_wrench, self._key_hand, self._key_beacon)
 
     def runs_by(self, clock: MachineClock) -> None:
@@ -73,6 +73,7 @@ class Outbox:
     def keep_pace(self, period_ns: int) -> None:
         """From now on there is a tick in every so long, a multiple of the full rate's period."""
         self._next_ms = -(-period_ns // NS_PER_MS) if period_ns > self._period_ns else 0
+        self._schedule.tick_ns = period_ns
 
     def begin(self, epoch_ns: int) -> None:
         """Counts rounds from the epoch of a mission."""
@@ -135,6 +136,9 @@ class Outbox:
         """The beacon, when it is due."""
         if not self._schedule.is_turn(now_ns):
             return []
+        if self._schedule.is_seldom:
+            self._schedule.minds = None if self._peers.tells(now_ns) else self._peers.listened
+            self._schedule.level = self.others_overload
         message = self._schedule.timed(self._beacon(now_ns, here, doubt, following=following))
         return [] if message is None else [(self._key_beacon, encode(message))]
 

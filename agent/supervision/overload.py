@@ -57,14 +57,14 @@ class Overload:
     Attributes:
         idle: whether there is nothing to look at.
         wanted: by how many steps this robot wants the rate to fall, 0..steps + 2: slower still, and stands.
-        level: the greatest that anybody wants.
+        level: the greatest that anybody wants; others: that others want.
         late_ticks: how many of its own ticks began too late, since the start.
     """
 
     def __init__(self, steps: int, period_ns: int, gap_ns: int) -> None:
         self._steps, self._full_ns, self._gap_ns = steps, period_ns, gap_ns
         self.idle = True
-        self.wanted = self.level = 0
+        self.wanted = self.level = self.others = 0
         self.late_ticks = 0
         self._drives = True
         self._stalls: list[tuple[int, int, int]] = []
@@ -142,12 +142,12 @@ class Overload:
             if now_ns > until_ns:
                 del self._others[robot]
         before = self.level
-        others = max((wanted for wanted, _ in self._others.values()), default=0)
+        self.others = max((wanted for wanted, _ in self._others.values()), default=0)
         if before:
             self._spent_ns[before] = self._spent_ns.get(before, 0) + now_ns - self._looked_ns
             self._asked_ns += now_ns - self._looked_ns if self.wanted else 0
         self._looked_ns = now_ns
-        self.level = min(max(self.wanted, others), self._steps + 2)
+        self.level = min(max(self.wanted, self.others), self._steps + 2)
         self.idle = not (self.wanted or self._others or self._late)
         if self.level != before:
             self._forget(now_ns)

@@ -48,7 +48,8 @@ START_S: Final = 0.3
 """Who takes longer waits for something else than processor time, and no other process waits for it."""
 YIELDING: Final = 5
 """So much nicer are many robots than the router that they share, and `run`: where the processor is short,
-what all of them wait for comes first."""
+what all of them wait for comes first. Where the kernel shares it out by sessions (sched(7), autogroup), which
+makes nothing of that, all of them are one, and the router is another."""
 LOOK_S: Final = 0.25
 """How often who started this process is looked for."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -80,6 +81,7 @@ class Server:
         self._pid = os.getpid()
         self._numbers: dict[int, int] = {}
         """Who asked for a process gave it a number: those of the system are given again."""
+        self._are_many = False
         self._starting: dict[int, float] = {}
         """Pipes whose other end a process closes when it has started, and until when that is waited for."""
         self._null = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
@@ -128,7 +130,8 @@ class Server:
     def _answer(self, request: Any, handles: Sequence[int]) -> Forked | None:
         if "fleet" in request:
             with suppress(Error):  # whoever needs it says so
-                if preloaded.preload(request["fleet"]).is_routed:
+                self._are_many = preloaded.preload(request["fleet"]).is_routed
+                if self._are_many:
                     os.nice(max(0, YIELDING - os.nice(0)))  # once, however many it reads
             self._settle()
             return None
@@ -176,7 +179,10 @@ class Server:
 
     def _become(self, forked: Forked, log: int) -> None:
         """In the process that was forked: leaves nothing that was the server's."""
-        os.setsid()
+        if self._are_many:
+            os.setpgid(0, 0)
+        else:
+            os.setsid()
         _end_with_parent(self._pid)
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)

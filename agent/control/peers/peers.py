@@ -44,9 +44,10 @@ TRUST_GAINED_S: Final = 1.5
 """Trust rises from 0 to 1 within this time: the edge is back without a bump."""
 ROWS_OF_MANY: Final = 2
 """Of so many silent robots it is worked out for one beacon where they may be, in a large fleet."""
+TELLS_NS: Final = 2 * NS_PER_S
+"""So long before the epoch of a mission robots begin to tell of those that they do not hear: nobody drives
+before that, and while a large fleet starts most are not heard yet."""
 _NEVER: Final = -1
-JUMP_M: Final = 1.0
-"""Between two beacons a robot does not go so far: it has been found somewhere else."""
 NEVER_CAME_NS: Final = 0
 """Stamp of a row about a robot that was never heard."""
 
@@ -195,6 +196,7 @@ class Peers:
         missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
+        listened: the robots whose hand states are listened to.
     """
 
     def __init__(
@@ -219,6 +221,7 @@ class Peers:
         self.behind_ns = 0
         self.stood = False
         self.missed_ns: Callable[[int], int] = _none_missed
+        self.listened: Collection[int] = ()
         self._beacon_ns = beacon_ns
         self._rest_ns = max(0, beacon_max_ns - beacon_ns)
         self.predicts: Final = predict
@@ -406,6 +409,11 @@ class Peers:
         """Whether it has listened since the drive began."""
         return _NEVER < self._began_ns <= self.forecast.epoch_ns
 
+    def tells(self, now_ns: int) -> bool:
+        """Whether a mission is near, or has begun, so that others need to know who is not heard here."""
+        epoch_ns = self.forecast.epoch_ns
+        return epoch_ns > 0 and now_ns >= epoch_ns - TELLS_NS
+
     @property
     def rounds_to_tell(self) -> int:
         """How many beacons of one robot it takes to tell of all that others do not hear."""
@@ -413,7 +421,10 @@ class Peers:
 
     def silent(self, now_ns: int) -> tuple[Silent, ...]:
         """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
-        they are too many for one, or for a tick in which to work out where all of them may be."""
+        they are too many for one, or for a tick in which to work out where all of them may be. Nothing while
+        no mission is near."""
+        if not self.tells(now_ns):
+            return ()
         elsewhere, epoch_ns = self._unheard_elsewhere, self.forecast.epoch_ns
         begun = now_ns > epoch_ns
         told = []
@@ -480,8 +491,7 @@ class Peers:
                 self._expect_beacon(peer)
         if time_ns > peer.direct_ns:
             peer.direct_ns = time_ns
-        if before is None or abs(beacon.x - before.x) + abs(beacon.y - before.y) > JUMP_M:
-            peer.far_until_ns = 0
+        peer.far_until_ns = 0
         peer.message = HandState.placed(
             beacon.robot, beacon.sequence, time_ns, beacon.following, peer.degree, beacon.place, beacon.doubt
         )
@@ -623,6 +633,7 @@ class Peers:
 
     def listen(self, robots: Collection[int], now_ns: int) -> None:
         """The hand states of these robots are listened to from now on, and of no others."""
+        self.listened = robots
         for peer in self._known.values():
             was, peer.listened = peer.listened, peer.robot in robots
             if not peer.listened or was:

@@ -6,7 +6,7 @@ from math import cos, sin, tau
 
 import pytest
 
-from agent.control.controller import LOOK_PERIOD_NS, Controller
+from agent.control.controller import LOOK_PERIOD_NS, REST_PERIOD_NS, Controller
 from agent.control.hand import Pose, advance, hand, wrench
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.loading import load_fleet, parse_fleet
@@ -122,6 +122,22 @@ def test_a_body_on_the_own_way_is_not_driven_through_though_it_was_on_the_same_w
     drive = controller.drive(plant, now_ns)
     assert "robot 2" in drive.causes
     assert sum(drive.forces[::2]) < -0.5
+
+
+def test_in_a_large_fleet_they_are_looked_for_seldom_before_a_mission_is_near():
+    looks = []
+    for overrides in ((), ("avoidance.beacon_interval_max_s=1.0",)):
+        fleet = parse_fleet(PAIR, source="here", overrides=overrides)
+        controller = Controller(fleet, resolve(fleet), 1)
+        here = hand(Pose(*[0.0] * 5), 0.1)
+        controller.look(T0)
+        controller.look_round(T0, here, (2,))
+        given(controller, 3, 0.5, follows=True)
+        now_ns = T0
+        while not controller.look_round(now_ns, here, (2,)):
+            now_ns += LOOK_PERIOD_NS // 10
+        looks.append(now_ns - T0)
+    assert looks == [LOOK_PERIOD_NS, REST_PERIOD_NS]
 
 
 def test_those_near_are_looked_for_a_few_times_a_second():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, cos, inf, sin
+from math import atan2, cos, hypot, inf, sin
 
 import pytest
 from hypothesis import given
@@ -13,7 +13,7 @@ from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX, Belief
 from agent.control.peers.peers import Peer, Peers
 from agent.control.proximity import AHEAD_S, STAY_M, Proximity
-from agent.control.safety_distances import speed_max
+from agent.control.safety_distances import acceleration_max, speed_max
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
@@ -153,6 +153,76 @@ def test_of_many_that_fall_silent_together_the_nearest_are_looked_for_first(
         scene.look()
         scene.wait()
         assert list(dict.fromkeys(asked)) == [7, 4, 5, 3, 6][:count]
+
+
+@given(
+    st.floats(1.5, 6.0),
+    st.lists(
+        st.tuples(
+            st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)
+        ),
+        min_size=2,
+        max_size=12,
+    ),
+)
+def test_who_rests_is_not_near_before_it_is_looked_at_again(
+    away: float, legs: list[tuple[float, float, float, float]]
+) -> None:
+    """Whatever the own robot does, and whatever the other says that it does from then on."""
+    resting, asking = Scene(), Scene()
+    x, y, vx, vy = 0.0, 0.0, 0.0, 0.0
+    other_x = away
+    limit = acceleration_max(resting.fleet) / 2.0**0.5
+    for ax, ay, other_vx, other_vy in legs:
+        for tick in range(5):
+            here = Hand(x, y, vx, vy)
+            for scene in (resting, asking):
+                if tick == 0:
+                    told = (other_x, 0.0, other_vx, other_vy)
+                    beacon = Beacon(3, 0, scene.now - 1, True, *told, 0.0, 0, 0, -1, -1)
+                    assert scene.peers.accept_beacon(beacon, scene.now) is None
+            asking.peers.get(3).far_until_ns = 0
+            resting.look(here)
+            asking.look(here)
+            assert resting.close == asking.close
+            for scene in (resting, asking):
+                scene.wait()
+            own_ax, own_ay = max(-limit, min(limit, ax)), max(-limit, min(limit, ay))
+            x, y = x + 0.1 * vx + 0.005 * own_ax, y + 0.1 * vy + 0.005 * own_ay
+            vx, vy = vx + 0.1 * own_ax, vy + 0.1 * own_ay
+            speed = hypot(vx, vy)
+            if speed > 1.0:
+                vx, vy = vx / speed, vy / speed
+
+
+def test_who_says_that_it_goes_elsewhere_is_looked_at_again_at_once() -> None:
+    scene = Scene()
+    scene.beacon(2.9)
+    assert not scene.look()
+    assert scene.peers.get(3).far_until_ns > scene.now + LOOK_PERIOD_NS
+    scene.wait()
+    scene.beacon(2.9, vx=-2.0)
+    assert scene.look()
+
+
+def test_in_a_large_fleet_whoever_is_not_near_is_not_looked_at_in_every_look(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for overrides, looks in (((), 10), (("avoidance.beacon_interval_max_s=2.0",), 2)):
+        scene = Scene(*overrides)
+        asked: list[int] = []
+        is_near = scene.proximity._is_near
+
+        def noted(peer: Peer, now_ns: int, here: Hand) -> bool:
+            asked.append(peer.robot)
+            return is_near(peer, now_ns, here)
+
+        monkeypatch.setattr(scene.proximity, "_is_near", noted)
+        scene.beacon(2.02)
+        for _ in range(10):
+            scene.look()
+            scene.wait(LOOK_PERIOD_NS // 5)
+        assert len(asked) == looks
 
 
 def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():

@@ -63,3 +63,13 @@ def test_what_was_promised_is_kept(changes: list[int], step: int) -> None:
             promised, last = timer.said(now), now
             assert LEAST <= promised <= MOST
     assert promised is not None
+
+
+def test_who_asks_at_other_times_is_told_to_say_it_sooner_rather_than_late() -> None:
+    for step in (LEAST, 2 * LEAST, 3 * LEAST // 2):
+        timer, last, promised = TrickleTimer(LEAST, MOST), None, 0
+        for now in range(0, 20_000, step):
+            if timer.is_due(now, step):
+                assert last is None or now - last <= max(promised, step)
+                last, promised = now, timer.said(now)
+        assert promised == MOST

@@ -14,7 +14,7 @@ from agent.control.peers.beliefs import said_doubt
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import Beacon, Silent
-from agent.supervision.beacon_schedule import RELAY_NS, SURE_M, WAY_M, BeaconSchedule
+from agent.supervision.beacon_schedule import HURRIES_HZ, RELAY_NS, SURE_M, WAY_M, BeaconSchedule
 
 T0 = 1000 * NS_PER_S
 MARKS = (3, 7, -1, -1)
@@ -37,8 +37,9 @@ def beacon(
     silent: tuple[Silent, ...] = (),
     unheard: tuple[int, ...] = (),
     follows: bool = True,
+    overload: int = 0,
 ) -> Beacon:
-    return Beacon(robot, 0, now_ns, follows, *place, 0.0, *marks, silent, unheard)
+    return Beacon(robot, 0, now_ns, follows, *place, 0.0, *marks, silent, unheard, overload=overload)
 
 
 class Bench:
@@ -180,6 +181,43 @@ def test_who_lacks_what_was_said_hears_it_soon() -> None:
         assert bench.run(1.0) == [5.0, 5.2, 5.6]
         bench.schedule.heard(other, MARKS)  # it says the same again: there is nobody to hurry for
         assert bench.run(1.0) == [6.4]
+
+
+def test_what_can_wait_hurries_no_oftener_than_its_share() -> None:
+    """A fleet that loses each other in turn would else add to its trouble at every turn of everybody."""
+    bench = Bench(fleet(robots=60, beacon_interval_max_s=1.6))
+    bench.run(5.0)
+    since, share_s = len(bench.said), 60 / HURRIES_HZ
+    for k in range(60):
+        bench.run(0.2, unheard=(4 + k % 3,))
+    gaps = [b - a for a, b in pairwise(at for at, _ in bench.said[since:])]
+    assert sum(gap < 0.3 for gap in gaps) <= 2 * (12.0 / share_s + 1)
+    assert max(gaps) <= 1.61, "and yet it is told at the latest when it would have been"
+    bench = quiet()
+    for k in range(20):
+        bench.run(0.2, follows=bool(k % 2))
+    assert len(bench.said) >= 20, "what others go by is told at once, always"
+
+
+def test_who_wants_no_lower_rate_than_others_has_no_news_of_it() -> None:
+    for level, hurries in ((0, True), (1, False), (2, False)):
+        bench = quiet()
+        bench.schedule._hurried_ns = bench.now_ns + 100 * NS_PER_S  # else it has its share
+        bench.schedule.level = level
+        times = bench.run(1.0, overload=1)
+        assert (len(times) >= 2) is hurries, level
+
+
+def test_while_no_mission_is_near_it_is_news_only_of_those_that_it_minds() -> None:
+    for minds, news in ((None, True), ((3,), False), ((4,), True)):
+        bench = quiet()
+        bench.schedule.minds = minds
+        times = bench.run(1.0, unheard=(4,))
+        assert (len(times) >= 2) is news, minds
+        bench = quiet()
+        bench.schedule.minds = minds
+        bench.schedule.heard(beacon(T0, robot=4, unheard=(2,)), MARKS)
+        assert (len(bench.run(1.0)) >= 2) is news, minds
 
 
 def test_who_knows_as_much_changes_nothing() -> None:

@@ -7,6 +7,7 @@ import pytest
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import (
     NEVER_CAME_NS,
+    TELLS_NS,
     Peers,
 )
 from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
@@ -153,6 +154,19 @@ def test_of_many_silent_robots_all_are_told_in_turn():
     assert new.rounds_to_tell == 0
     assert new.accept_beacon(beacon(3, T0)._replace(unheard=tuple(robots)), T0 + PERIOD) is None
     assert new.rounds_to_tell == 3
+
+
+def test_nobody_is_told_of_before_a_mission_is_near():
+    known = heard(peers(), message(2, 5, T0, position=(1.0, 0.0)))
+    now_ns = T0 + 10 * S
+    assert known.tells(now_ns)
+    assert [row.robot for row in known.silent(now_ns)] == [2]
+    for epoch_ns in (0, now_ns + TELLS_NS + 1):
+        known.forecast.epoch_ns = epoch_ns
+        assert not known.tells(now_ns)
+        assert known.silent(now_ns) == ()
+    known.forecast.epoch_ns = now_ns + TELLS_NS
+    assert [row.robot for row in known.silent(now_ns)] == [2]
 
 
 def test_a_robot_is_given_up_when_nothing_has_come_from_itself_for_long():
