@@ -24,7 +24,7 @@ from agent.messages.key_expressions import robot_of_alive
 from agent.node import inbox_size
 from agent.runtime.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
 from agent.runtime.tcp_linger import Lingering
-from agent.runtime.tcp_sockets import TcpSockets
+from agent.runtime.tcp_sockets import Calm, TcpSockets
 from agent.security.access_control import Security
 
 Mode = Literal["peer", "client", "router"]
@@ -55,6 +55,8 @@ RETRY_MS: Final = (50, 150)
 OPEN_TIMEOUT_MS: Final = 10_000
 """Zenoh's own limit for opening a link, which may leave one that is never read from where it runs out
 (`agent.runtime.link_watch`, which is sooner): for what has no socket yet, as a name that is looked for."""
+WHOLE_LOOK_NS: Final = 10 * NS_PER_S
+"""So often links are looked at one by one though none seems to have changed."""
 FLUSH_S: Final = 0.02
 """So long Zenoh's thread has to send what was published last, before a process ends."""
 PRESENCE_SIZE: Final = 4096
@@ -217,6 +219,45 @@ def _open_client(
         patience = min(2 * patience, PATIENCE_MAX)
 
 
+class _Links:
+    """The links of one bus, to be looked at when it is time to. What `look` gives: see `LinkWatch.look`."""
+
+    def __init__(self, watch: LinkWatch) -> None:
+        self._watch, self._sockets, self._lingering, self._calm = watch, TcpSockets(), Lingering(), Calm()
+        self._whole_due_ns = self.due_ns = 0
+
+    def look(self, now_ns: int) -> list[str]:
+        """Looks at all links now. Mostly nothing has changed, which a few system calls tell."""
+        watch = self._watch
+        if now_ns < self._whole_due_ns and self._calm.lasts():
+            watch.still_calm(now_ns)
+            self.due_ns = now_ns + watch.period_ns
+            return []
+        self._whole_due_ns = now_ns + WHOLE_LOOK_NS
+        found, deaf = self._sockets.look(), []
+        if found is not None:
+            self._lingering.end(found)
+            deaf = watch.look(found, now_ns)
+            if watch.calm is not None and self._lingering.is_done:
+                self._calm.begin(watch.calm)
+            else:
+                self._calm.end()
+        self.due_ns = now_ns + watch.period_ns
+        return deaf
+
+    def look_at_opening(self) -> None:
+        """Looks at them while the first of them is being opened."""
+        self._watch.look(self._sockets.look() or (), time.monotonic_ns())
+
+    def give_up(self) -> None:
+        """See `LinkWatch.give_up`."""
+        self._watch.give_up(self._sockets.look() or ())
+
+    def reopen(self, endpoint: str) -> bool:
+        """See `LinkWatch.reopen`."""
+        return self._watch.reopen(endpoint, self._sockets.look() or ())
+
+
 class Bus:
     """One process's place on the bus. A context manager: a session that stays open hangs the interpreter.
 
@@ -255,9 +296,9 @@ class Bus:
         self._sessions: list[Any] = []
         self._near_keys = near
         self._robots = robots
-        self._sockets, self._lingering = TcpSockets(), Lingering()
-        self._watch = LinkWatch(listen, [*connect, *routers], link_timeout_s, _open_links, routers)
-        self._look_due_ns = 0
+        self._links = _Links(
+            LinkWatch(listen, [*connect, *routers], link_timeout_s, _open_links, one_of=routers)
+        )
         self._were_deaf: list[str] = []
         self._reopened_ns: dict[str, int] = {}
         try:
@@ -270,8 +311,9 @@ class Bus:
             self.close()
             raise
         self._near, self._far = self._sessions[0], self._sessions[-1]
-        self._inboxes: dict[str, tuple[str, Any, int]] = {}
-        self._publishers: dict[str, list[Any]] = {}
+        self._inboxes: dict[str, tuple[str, Callable[[], Any], int, Any]] = {}
+        """By subscription: its key where it is one, what takes a message, how many wait, the subscriber."""
+        self._publishers: dict[str, list[Callable[[bytes], None]]] = {}
         self._tokens: list[Any] = []
 
     def __enter__(self) -> Bus:
@@ -305,7 +347,7 @@ class Bus:
 
         def look() -> None:
             while not opened.wait(SOON_NS / NS_PER_S):
-                self._watch.look(self._sockets.look() or (), time.monotonic_ns())
+                self._links.look_at_opening()
 
         thread = threading.Thread(target=look)
         thread.start()
@@ -318,7 +360,7 @@ class Bus:
     def _give_up_until(self, closed: threading.Event) -> None:
         """Closing a session waits for the links that are being opened, each as long as Zenoh's own limit."""
         while True:
-            self._watch.give_up(self._sockets.look() or ())
+            self._links.give_up()
             if closed.wait(RETRY_MS[0] / 1000):
                 return
 
@@ -334,12 +376,12 @@ class Bus:
         size = inbox_size(key, self._robots) if size is None else size
         session = self._near if key in self._near_keys else self._far
         subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(size))
-        self._inboxes[key] = "" if "*" in key else key, subscriber, size
+        self._inboxes[key] = "" if "*" in key else key, subscriber.handler.try_recv, size, subscriber
 
     def listen(self, subscriptions: Sequence[str]) -> None:
         """Listens to exactly these keys, and drains them in this order; what waits on others is lost."""
         for key in self._inboxes.keys() - set(subscriptions):
-            self._inboxes.pop(key)[1].undeclare()
+            self._inboxes.pop(key)[3].undeclare()
         for key in subscriptions:
             if key not in self._inboxes:
                 self.subscribe(key)
@@ -360,14 +402,14 @@ class Bus:
     def declare(self, key: str) -> None:
         """Prepares to publish on `key`. A full link drops messages rather than stall the loop."""
         self._publishers[key] = [
-            session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+            session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP).put
             for session in self._sessions
         ]
 
     def publish(self, key: str, payload: bytes) -> None:
         """Publishes on a key that was declared."""
-        for publisher in self._publishers[key]:
-            publisher.put(payload)
+        for put in self._publishers[key]:
+            put(payload)
 
     def as_it_came(self, payload: bytes) -> bytes:
         """The bytes in which an operator's order came that `drain` gave, to keep it."""
@@ -381,23 +423,19 @@ class Bus:
         """
         return came
 
-    def drain(self) -> Iterator[tuple[str, bytes]]:
+    def drain(self) -> Sequence[tuple[str, bytes]]:
         """What has come since the last call, (key, payload), at most an inbox for each subscription."""
         now_ns = time.monotonic_ns()
-        if now_ns >= self._look_due_ns:
-            self._look_at_links(now_ns)
-        for key, subscriber, size in self._inboxes.values():
-            for _ in range(size):  # a flood that comes faster than it is taken must not keep the loop
-                if (sample := subscriber.try_recv()) is None:
+        if now_ns >= self._links.due_ns:
+            self._were_deaf += self._links.look(now_ns)
+        found = []
+        for key, take, size, _ in self._inboxes.values():
+            while (sample := take()) is not None:
+                found.append((key or str(sample.key_expr), sample.payload.to_bytes()))
+                size -= 1
+                if not size:  # a flood that comes faster than it is taken must not keep the loop
                     break
-                yield key or str(sample.key_expr), sample.payload.to_bytes()
-
-    def _look_at_links(self, now_ns: int) -> None:
-        found = self._sockets.look()
-        if found is not None:
-            self._lingering.end(found)
-            self._were_deaf += self._watch.look(found, now_ns)
-        self._look_due_ns = now_ns + self._watch.period_ns
+        return found
 
     def were_deaf(self) -> list[str]:
         """The endpoints of links on which nothing was read though they stood, and which were shut down since
@@ -411,7 +449,7 @@ class Bus:
         now_ns, last_ns = time.monotonic_ns(), self._reopened_ns.get(endpoint)
         if last_ns is not None and now_ns - last_ns < pause_ns:
             return False
-        done = self._watch.reopen(endpoint, self._sockets.look() or ())
+        done = self._links.reopen(endpoint)
         if done:
             self._reopened_ns[endpoint] = now_ns
         return done
@@ -437,9 +475,7 @@ class Router:
         link_timeout_s: float = LINK_TIMEOUT_S,
     ) -> None:
         self._session = _open("router", listen, connect, security)
-        self._sockets, self._lingering = TcpSockets(), Lingering()
-        self._watch = LinkWatch(listen, connect, link_timeout_s, _open_links)
-        self._look_due_ns = 0
+        self._links = _Links(LinkWatch(listen, connect, link_timeout_s, _open_links))
 
     def __enter__(self) -> Router:
         return self
@@ -452,13 +488,7 @@ class Router:
     def look(self, now_ns: int) -> list[str]:
         """To be called often: looks at its links now and then, as a `Bus` does; which were deaf, see
         `Bus.were_deaf`."""
-        found = self._sockets.look() if now_ns >= self._look_due_ns else None
-        if found is None:
-            return []
-        self._lingering.end(found)
-        deaf = self._watch.look(found, now_ns)
-        self._look_due_ns = now_ns + self._watch.period_ns
-        return deaf
+        return self._links.look(now_ns) if now_ns >= self._links.due_ns else []
 
     def watch(self, key: str) -> Presence:
         """See `Bus.watch`."""
@@ -473,7 +503,7 @@ class Presence:
     """The processes that are alive, by their liveliness tokens."""
 
     def __init__(self, subscriber: Any) -> None:
-        self._subscriber = subscriber
+        self._subscriber, self._take = subscriber, subscriber.handler.try_recv
         self.alive: set[str] = set()
 
     def close(self) -> None:
@@ -488,7 +518,7 @@ class Presence:
         """
         changes = []
         for _ in range(PRESENCE_SIZE):  # a flood that comes faster than it is taken must not keep the loop
-            if (sample := self._subscriber.try_recv()) is None:
+            if (sample := self._take()) is None:
                 break
             key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
             if robot_of_alive(key) is None or (here and len(self.alive) >= PRESENCE_SIZE):

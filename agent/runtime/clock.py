@@ -53,6 +53,8 @@ class RealClock:
         self._offset_ns = min(samples)[1]
         self.machine: Final = MachineClock(boot(), self._offset_ns)
         self._local = LocalTime(skew_ns, drift)
+        self._ahead_ns = self._offset_ns + skew_ns
+        self._drifts = bool(drift)
 
     def begin(self, epoch_ns: int) -> None:
         """See `agent.common.time.Clock`."""
@@ -61,10 +63,15 @@ class RealClock:
 
     def now_ns(self) -> int:
         """The present, wall time in ns."""
-        return self._local.local_ns(time.monotonic_ns() + self._offset_ns)
+        if self._drifts:
+            return self._local.local_ns(time.monotonic_ns() + self._offset_ns)
+        return time.monotonic_ns() + self._ahead_ns
 
     def sleep_until(self, time_ns: int) -> None:
         """Returns at `time_ns` (wall time) or, when that is past, at once."""
-        remaining = self._local.true_ns(time_ns) - time.monotonic_ns() - self._offset_ns
+        if self._drifts:
+            remaining = self._local.true_ns(time_ns) - time.monotonic_ns() - self._offset_ns
+        else:
+            remaining = time_ns - time.monotonic_ns() - self._ahead_ns
         if remaining > 0:
             time.sleep(remaining / NS_PER_S)

@@ -85,6 +85,7 @@ class LinkWatch:
 
     Attributes:
         period_ns: when to look again.
+        calm: its links, where nothing waits on any, none is being opened, and none lacks; else None.
     """
 
     def __init__(
@@ -104,6 +105,7 @@ class LinkWatch:
         self._shut_down: dict[str, int] = {}
         self._looked_ns = 0
         self.period_ns = PERIOD_NS
+        self.calm: list[TcpSocket] | None = None
 
     def look(self, found: Sequence[TcpSocket], now_ns: int) -> list[str]:
         """Looks at all links; returns the endpoints of those that were deaf and are shut down, "" for one
@@ -122,6 +124,7 @@ class LinkWatch:
         deaf: list[tuple[TcpSocket, _Link]] = []
         opening: list[tuple[TcpSocket, _Link]] = []
         waits, stalled = False, 0
+        calm: list[TcpSocket] = []
         for each in found:
             with suppress(OSError):  # closed meanwhile
                 link = before[each.inode] if each.inode in before else self._meet(each, now_ns)
@@ -131,6 +134,7 @@ class LinkWatch:
                 waiting = _waiting(each.number)
                 if link.is_open and not waiting:
                     link.since_ns = 0
+                    calm.append(each)
                     continue
                 is_deaf = self._is_deaf(each, link, waiting, now_ns)
                 # Something waits to be read on every link at times: what has been read since is no matter.
@@ -146,12 +150,18 @@ class LinkWatch:
         if self._one_of and not waits:
             waits = all(link is None or link.endpoint not in self._one_of for link in self._links.values())
         self.period_ns = SOON_NS if waits else PERIOD_NS
+        is_calm = not waits and len(calm) == sum(link is not None for link in self._links.values())
+        self.calm = calm if is_calm else None
         if stalled > max(STALLED_MAX, len(found) // STALLED_PART):
             return []  # nothing is wrong with so many: what reads them all has no time
         for each, _ in deaf:
             with suppress(OSError):
                 _shut(each)
         return [link.endpoint for _, link in deaf]
+
+    def still_calm(self, now_ns: int) -> None:
+        """Takes that nothing has changed since a look that found it `calm`."""
+        self._looked_ns = now_ns
 
     def reopen(self, endpoint: str, found: Sequence[TcpSocket]) -> bool:
         """Shuts down the link to `endpoint` among these; whether there was one that was open."""

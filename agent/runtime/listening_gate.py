@@ -13,7 +13,6 @@ of their own, and notice nothing.
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import os
 import resource
 import socket
@@ -23,7 +22,7 @@ from types import TracebackType
 from typing import Final
 
 from agent.common.time import NS_PER_S
-from agent.runtime.tcp_sockets import borrowed
+from agent.runtime.tcp_sockets import borrowed, lowest_free
 
 WAITING: Final = 96
 """So many may wait, and for each robot of the fleet `EACH` more: all start together. Fewer would make it easy
@@ -32,7 +31,7 @@ looked at when a flood is over, 100 ms each."""
 EACH: Final = 4
 OPENED_MAX: Final = 65_536
 """So many descriptors a process may have, where the system lets it: more than come between two looks."""
-OPENED_MIN: Final = 1_024
+OPENED_MIN: Final = 2_048
 """With fewer, what comes between two looks of a flood may leave none."""
 SAY_PERIOD_NS: Final = 60 * NS_PER_S
 _ATTACH, _DETACH = 26, 27
@@ -90,13 +89,13 @@ class Gate:
     def look(self, now_ns: int) -> str:
         """Shuts or opens the gate, by how many wait; returns what is to be said of that, "" for nothing.
 
-        Some microseconds, in a flood a millisecond; to be called ten times a second.
+        Some microseconds, in a flood a millisecond; to be called five times a second.
 
         Args:
             now_ns: any clock.
         """
         # A flood takes every number that is free, from the lowest on.
-        if not self._listening or not (self.shut or _lowest_free(self._listening[0]) > self._few):
+        if not self._listening or not (self.shut or self._are_many()):
             return ""
         opened = _opened()
         if opened and len(opened) <= self._few:  # which is so but in a flood: nothing is looked at
@@ -121,6 +120,10 @@ class Gate:
             "do; links that are there go on"
         )
 
+    def _are_many(self) -> bool:
+        lowest = lowest_free(self._listening[0].fileno())
+        return lowest > self._few or lowest < 0
+
     def _count(self, opened: list[int]) -> int:
         """How many of these are connections to what listens here: those that wait, and links."""
         found = 0
@@ -134,16 +137,6 @@ class Gate:
         for each in self._listening:
             with suppress(OSError):  # no such filter in this kernel: it stays as it was
                 each.setsockopt(socket.SOL_SOCKET, option, value)
-
-
-def _lowest_free(any_socket: socket.socket) -> int:
-    """The number that the next descriptor gets, `OPENED_MAX` where there is none left."""
-    try:
-        number = fcntl.fcntl(any_socket, fcntl.F_DUPFD_CLOEXEC, 0)
-    except OSError:
-        return OPENED_MAX
-    os.close(number)
-    return number
 
 
 def _listens(number: int) -> bool:

@@ -97,7 +97,9 @@ class OrderStore:
             if folder.is_dir():
                 raise
             log(f"{error}: operators' orders are not kept until it can be made")
-        self._path, self._stop_path, self._log = order_file(folder, robot, role), folder / STOP_FILE, log
+        self._path, self._log = order_file(folder, robot, role), log
+        self._stop_path = folder / STOP_FILE
+        self._stop_name = str(self._stop_path)
         self._stop_seen: tuple[int, int, int] | None = None
         self._stop_trouble = ""
         self._look_due_ns = 0
@@ -142,8 +144,10 @@ class OrderStore:
         if 0 < self._look_due_ns - now_ns <= LOOK_PERIOD_NS:
             return ()
         self._look_due_ns = now_ns + LOOK_PERIOD_NS
+        if not os.access(self._stop_name, os.F_OK):  # as mostly: an exception costs as much as all the rest
+            return ()
         try:
-            found = os.stat(self._stop_path)
+            found = os.stat(self._stop_name)
         except OSError:
             return ()
         seen = found.st_mtime_ns, found.st_ino, found.st_size

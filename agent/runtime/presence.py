@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from agent.runtime.bus import Bus, Presence
 
@@ -15,7 +15,7 @@ class Watches:
         self._wanted: Sequence[str] = ()
         self._watches: dict[str, Presence] = {}
 
-    def update(self, wanted: Sequence[str]) -> Iterator[tuple[str, bool]]:
+    def update(self, wanted: Sequence[str]) -> Sequence[tuple[str, bool]]:
         """Changes since the last call, as `Presence.update`.
 
         Args:
@@ -28,5 +28,7 @@ class Watches:
             for key in wanted:
                 if key not in self._watches:
                     self._watches[key] = self._bus.watch(key)
+        changes: list[tuple[str, bool]] = []
         for presence in self._watches.values():
-            yield from presence.update()
+            changes += presence.update()
+        return changes

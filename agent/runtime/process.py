@@ -43,8 +43,10 @@ _STOP: Final = head(Stop)
 STALL_NS: Final = NS_PER_S // 10
 SETTLE_NS: Final = NS_PER_S // 500
 """A process that has stood for longer than the first takes what came meanwhile the second later."""
-LOOK_PERIOD_NS: Final = NS_PER_S // 10
-"""How often the parent process, and who knocks, are looked for, ns."""
+GATE_PERIOD_NS: Final = NS_PER_S // 5
+"""How often is looked for who knocks, ns."""
+LOOK_PERIOD_NS: Final = 2 * NS_PER_S // 5
+"""How often is looked for the parent process, and for links over which nothing comes, ns."""
 SAY_PERIOD_NS: Final = NS_PER_S
 """How often systemd hears of another reason for the same state, at most: some have a time in them, ns."""
 
@@ -104,6 +106,7 @@ class OrderKeeper:
         self._node, self._bus, self._store, self._log = node, bus, store, log
         self._key_stop = key_expressions.stop(fleet)
         self._wanted: tuple[bytes, ...] = ()
+        self._is_kept = True
 
     def recall(self, now_ns: int) -> None:
         """Gives `node` what was kept when the process ran last, before its first tick."""
@@ -113,14 +116,17 @@ class OrderKeeper:
         """After a tick: has kept what is new, says what is, and takes a stop that was laid there."""
         node, store = self._node, self._store
         if node.lasting is not self._wanted:
-            self._wanted = node.lasting
+            self._wanted, self._is_kept = node.lasting, False
             store.keep(self._wanted, [came for each in self._wanted if (came := self._bus.as_it_came(each))])
-        done = store.done()
-        if done is not None:
-            node.kept(*done)
-        for order in self._opened(store.stops(now_ns)):
-            if order.startswith(_STOP):
-                node.receive(now_ns, self._key_stop, order)
+        if not self._is_kept and (done := store.done()) is not None:
+            orders, trouble = done
+            self._is_kept = orders is self._wanted and not trouble
+            node.kept(orders, trouble)
+        laid = store.stops(now_ns)
+        if laid:
+            for order in self._opened(laid):
+                if order.startswith(_STOP):
+                    node.receive(now_ns, self._key_stop, order)
 
     def _opened(self, kept: Sequence[bytes]) -> list[bytes]:
         """The orders in what was kept; what is none any more is left out, and said."""
@@ -156,10 +162,14 @@ def loop(
     """
     ticks = Ticks(node, clock.now_ns())
     end_by_ns: int | None = None
-    look_due_ns = say_due_ns = 0
+    # Not in one tick: each of them touches much that has left the caches since it was looked at last.
+    gate_due_ns = ticks.due_ns
+    links_due_ns, parent_due_ns = gate_due_ns + GATE_PERIOD_NS // 2, gate_due_ns + 3 * GATE_PERIOD_NS // 2
+    say_due_ns = 0
     said = "", ""
     watches = Watches(bus)
     heard: Sequence[str] = ()
+    has_epoch = False
     while True:
         if node.subscriptions is not heard:
             heard = node.subscriptions
@@ -171,7 +181,7 @@ def loop(
             clock.sleep_until(start_ns + SETTLE_NS)
             start_ns = clock.now_ns()
         # Before the clock is read: nothing is from the future for a thread that was held up in between.
-        waiting = list(bus.drain())
+        waiting = bus.drain()
         now_ns, missed, late_ns = ticks.take(clock.now_ns())
         if late_ns * TOLD_SHARE > node.period_ns:
             node.late(now_ns, late_ns)
@@ -191,7 +201,7 @@ def loop(
         if keeper is not None:
             keeper.step(now_ns)
         condition = node.condition
-        if condition != said and (condition[0] != said[0] or now_ns >= say_due_ns):
+        if condition is not said and condition != said and (condition[0] != said[0] or now_ns >= say_due_ns):
             text = f"{condition[0]}: {condition[1]}" if condition[1] else condition[0]
             if condition[0] != said[0]:  # reasons alone may change often
                 log(printable(text))
@@ -200,13 +210,18 @@ def loop(
         service.lives(start_ns)
         if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
             return
-        if now_ns >= look_due_ns:
-            look_due_ns = now_ns + LOOK_PERIOD_NS
-            shutdown.look_for_parent()
-            look_at_links(node, bus, now_ns, names or {}, log)
+        if now_ns >= gate_due_ns:
+            gate_due_ns = now_ns + GATE_PERIOD_NS
             if gate is not None and (knocked := gate.look(now_ns)):
                 log(knocked)
-        if ticks.epoch_ns is not None:
+        if now_ns >= links_due_ns:
+            links_due_ns = now_ns + LOOK_PERIOD_NS
+            look_at_links(node, bus, now_ns, names or {}, log)
+        if now_ns >= parent_due_ns:
+            parent_due_ns = now_ns + LOOK_PERIOD_NS
+            shutdown.look_for_parent()
+        if not has_epoch and ticks.epoch_ns is not None:
+            has_epoch = True
             clock.begin(ticks.epoch_ns)
         ticks.plan(now_ns)
 

@@ -8,7 +8,7 @@ the operator's own bytes. What is refused, by Zenoh or here, is logged in a few 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -120,15 +120,16 @@ class SealedBus(Bus):
         """See `Bus.opened`: as an order of an operator's, whose certificate may have expired since."""
         return self._gate.recall(came)
 
-    def drain(self) -> Iterator[tuple[str, bytes]]:
+    def drain(self) -> Sequence[tuple[str, bytes]]:
         """As `Bus.drain`, with orders opened, unless seals are kept; what is not genuine is left out and
         logged."""
-        now_ns = time.time_ns()
+        now_ns, found = time.time_ns(), []
         for key, payload in super().drain():
             opened = self._gate.let_in(key, payload, now_ns)
             if opened is not None:
-                yield key, payload if self._keep_seals else opened
+                found.append((key, payload if self._keep_seals else opened))
         self._say_refusals()
+        return found
 
     def _say_refusals(self, later_ns: int = 0) -> None:
         for line in self._zenoh_log.lines(time.monotonic_ns() + later_ns):

@@ -22,9 +22,14 @@ _LINGER: Final = Struct("ii")  # whether, and for how many seconds
 
 class Lingering:
     """The sockets of this process. Each is looked at again until it was changed: Zenoh has a link linger only
-    once it is open."""
+    once it is open.
+
+    Attributes:
+        is_done: whether there is none left to be changed.
+    """
 
     def __init__(self) -> None:
+        self.is_done = False
         self._done: set[int] = set()
         self._sockets = TcpSockets()
 
@@ -44,7 +49,9 @@ class Lingering:
                     if does is not False:
                         self._done.add(each.inode)
                         changed += does is True
-        self._done.intersection_update(each.inode for each in found)
+        inodes = {each.inode for each in found}
+        self._done &= inodes
+        self.is_done = self._done == inodes
         return changed
 
 

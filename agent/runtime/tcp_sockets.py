@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import select
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, NamedTuple
 
@@ -48,6 +50,51 @@ class TcpSockets:
                     found.append(TcpSocket(number, inode))
         self._tcp = there
         return found
+
+
+class Calm:
+    """Whether nothing has changed since all links were looked at and nothing waited on any: three system
+    calls, whatever else is open, and however many links there are."""
+
+    def __init__(self) -> None:
+        self._poll: select.epoll | None = None
+        self._links = self._lowest = 0
+
+    def begin(self, links: Collection[TcpSocket]) -> None:
+        """Notes that these are all links, and that nothing waits on them."""
+        self.end()
+        try:
+            self._poll = select.epoll(len(links) + 1)
+            for each in links:
+                self._poll.register(each.number, select.EPOLLIN | select.EPOLLOUT)
+        except OSError:  # closed meanwhile, or no descriptor is left
+            self.end()
+            return
+        self._links, self._lowest = len(links), lowest_free(self._poll.fileno())
+
+    def end(self) -> None:
+        """Notes that something may have changed."""
+        if self._poll is not None:
+            self._poll.close()
+            self._poll = None
+
+    def lasts(self) -> bool:
+        """Whether each link is there and open, nothing waits on it, and nothing else was opened."""
+        if self._poll is None or lowest_free(self._poll.fileno()) != self._lowest:
+            return False
+        # One that is closed is not among them any more, though another may have its number.
+        found = self._poll.poll(0)
+        return len(found) == self._links and all(event == select.EPOLLOUT for _, event in found)
+
+
+def lowest_free(number: int) -> int:
+    """The number that the next descriptor gets, -1 where there is none left; `number` is any that is open."""
+    try:
+        found = fcntl.fcntl(number, fcntl.F_DUPFD_CLOEXEC, 0)
+    except OSError:
+        return -1
+    os.close(found)
+    return found
 
 
 @contextmanager

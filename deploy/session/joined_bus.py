@@ -7,7 +7,7 @@ of each: what is said goes out on all of them, sealed with each; what comes on a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Protocol
 
@@ -42,7 +42,7 @@ class OperatorBus(Protocol):
 
     def publish(self, key: str, payload: bytes) -> None: ...
 
-    def drain(self) -> Iterator[tuple[str, bytes]]: ...
+    def drain(self) -> Sequence[tuple[str, bytes]]: ...
 
 
 class JoinedBus:
@@ -85,9 +85,8 @@ class JoinedBus:
         for bus in self._buses:
             bus.publish(key, payload)
 
-    def drain(self) -> Iterator[tuple[str, bytes]]:
-        for bus in self._buses:
-            yield from bus.drain()
+    def drain(self) -> Sequence[tuple[str, bytes]]:
+        return [each for bus in self._buses for each in bus.drain()]
 
 
 class JoinedPresence:

@@ -6,7 +6,7 @@ import secrets
 import socket
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -118,11 +118,9 @@ class Ear(Bus):
         self.given.setdefault(key, sealed)
         super().publish(key, sealed)
 
-    def drain(self) -> Iterator[tuple[str, bytes]]:
-        for key, payload in super().drain():
-            opened = self._gate.let_in(key, payload, time.time_ns())
-            if opened is not None:
-                yield key, opened
+    def drain(self) -> Sequence[tuple[str, bytes]]:
+        found = [(key, self._gate.let_in(key, payload, time.time_ns())) for key, payload in super().drain()]
+        return [(key, opened) for key, opened in found if opened is not None]
 
 
 class SecuredRobots(Robots):

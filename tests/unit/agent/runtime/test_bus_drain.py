@@ -21,7 +21,7 @@ class Flooded:
     """A session on which every message that is taken has been followed by another."""
 
     def declare_subscriber(self, _key: str, _ring: object) -> Any:
-        return SimpleNamespace(try_recv=lambda: SAMPLE)
+        return SimpleNamespace(handler=SimpleNamespace(try_recv=lambda: SAMPLE))
 
 
 @pytest.mark.parametrize(("sizes", "total"), [((), INBOX_SIZE), ((5,), 5)])

@@ -283,3 +283,37 @@ def test_no_descriptor_is_left_behind(bench: Bench) -> None:
         bench.look(bench.opener)
         bench.look(bench.listener)
     assert len(os.listdir("/dev/fd")) == opened
+
+
+def test_it_is_calm_when_nothing_waits_on_any_link_and_all_are_open(bench: Bench) -> None:
+    near, far = bench.connect()
+    bench.look(bench.opener)
+    bench.look(bench.opener)
+    found = bench.opener.calm
+    assert found is not None
+    assert [each.number for each in found] == [near.fileno()]
+    bench.opener.still_calm(bench.now_ns)
+    far.send(b"a message")
+    bench.look(bench.opener)
+    assert bench.opener.calm is None
+    near.recv(99)
+    bench.look(bench.opener)
+    assert bench.opener.calm is not None
+    bench.connect(opened=False)
+    bench.look(bench.opener)
+    assert bench.opener.calm is None
+
+
+def test_a_deaf_link_is_found_as_soon_after_a_long_calm(bench: Bench) -> None:
+    near, far = bench.connect()
+    bench.look(bench.opener)
+    bench.look(bench.opener)
+    for _ in range(20):
+        bench.now_ns += PERIOD_NS
+        bench.opener.still_calm(bench.now_ns)
+    begun_ns = bench.now_ns
+    far.send(b"nobody reads this")
+    while not bench.look(bench.opener, SOON_NS):
+        near.send(b"keep-alive")
+        assert bench.now_ns - begun_ns <= 2 * DEAF_NS
+    assert bench.now_ns - begun_ns > DEAF_NS

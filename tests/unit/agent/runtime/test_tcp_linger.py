@@ -74,3 +74,17 @@ def test_other_sockets_are_left_alone() -> None:
         datagrams.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
         Lingering().end()
         assert linger(first) == linger(datagrams) == (1, 10)
+
+
+def test_it_is_done_when_each_was_changed_however_many_descriptors_it_has(
+    link: tuple[socket.socket, socket.socket],
+) -> None:
+    near, far = link
+    lingering = Lingering()
+    assert not lingering.is_done
+    lingering.end()
+    assert not lingering.is_done, "one that does not linger yet may do so later"
+    far.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
+    with near.dup():
+        lingering.end()
+        assert lingering.is_done
