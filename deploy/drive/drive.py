@@ -31,6 +31,8 @@ from deploy.session.joined_bus import OperatorBus
 from deploy.session.stop import Way
 
 POLL_S: Final = 0.04
+DEATHS_PERIOD_NS: Final = NS_PER_S // 10
+"""How often is looked for processes that have ended: each is asked for."""
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
 SHOW_FIRST_NS: Final = NS_PER_S // 10
 """So long after a mission's begin all have told that they drive."""
@@ -85,7 +87,7 @@ class Drive:
         """What rules will do to processes and what the fleet file orders, with its fleet time (s), the next
         one last."""
         self._events = 0
-        self._show_due_ns = self._heartbeat_due_ns = 0
+        self._show_due_ns = self._heartbeat_due_ns = self._deaths_due_ns = 0
         self._is_over = self._is_left = False
         self.reasons: list[str] = []
 
@@ -278,7 +280,11 @@ class Drive:
         if now_ns >= self._show_due_ns:
             self._show_due_ns = self._next_show_ns(now_ns)
             self._show()
-        return not self._interrupt.count and not self._deaths()
+        if now_ns >= self._deaths_due_ns:
+            self._deaths_due_ns = now_ns + DEATHS_PERIOD_NS
+            if self._deaths():
+                return False
+        return not self._interrupt.count
 
     @property
     def _beats(self) -> bool:

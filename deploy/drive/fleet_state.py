@@ -10,7 +10,20 @@ from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
-from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
+from agent.messages.types import (
+    Ask,
+    Beacon,
+    HandState,
+    Heartbeat,
+    LinkTrace,
+    Message,
+    Mission,
+    PlantState,
+    Resume,
+    Status,
+    Stop,
+    Wrench,
+)
 from agent.runtime.clock import RealClock
 from deploy.console.wording import robots, some
 from deploy.drive.readiness import in_words, is_ready, may_begin, waits
@@ -29,6 +42,7 @@ from deploy.session.session import valid
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
 """How often an order is sent again that a process has not acknowledged."""
 RECORDER_INBOX: Final = 65_536
+_ONLY_RECORDED: Final = (Wrench, LinkTrace)
 
 Record = Callable[[int, str, bytes], Message | None]
 """Takes what came: time of reception (ns), key, payload; gives the message, None when it is none."""
@@ -87,12 +101,16 @@ class FleetState:
         for key, payload in self._bus.drain():
             self._stop_door.heard(key, payload)
             message = self.record(now_ns, key, payload)
-            if message is not None:
-                self.watch.feed(key, message)
+            kind = type(message)
+            if message is None or kind in _ONLY_RECORDED:
+                continue
+            self.watch.feed(key, message)
+            if kind is PlantState:
+                self._locate(key, message)
+            elif kind is not HandState:
                 if (order := self.operator.hear_at(now_ns, key, message)) is not None:
                     self._own.keep(order)
                 self.checks.feed(now_ns, key, message)
-                self._locate(key, message)
                 self._note(now_ns, key, message)
 
     def _note(self, now_ns: int, key: str, message: Message) -> None:

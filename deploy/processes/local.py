@@ -163,8 +163,9 @@ class Processes:
     def deaths(self) -> list[tuple[Child, str]]:
         """Those that have ended since the last call without a rule's order, and how."""
         found = []
+        expected = self._killed | self._dead
         for process, child in self._children.items():
-            how = child.ended() if self.up(*process) else None
+            how = child.ended() if process not in expected else None
             if how is not None:
                 self._dead.add(process)
                 found.append((child, how))
