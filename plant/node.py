@@ -51,6 +51,7 @@ class PlantNode:
     Attributes:
         rejected: messages that were refused, by reason.
         overruns: ticks that were missed.
+        condition: what it does, driving or braking, and why it brakes.
 
     Raises:
         agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
@@ -93,6 +94,7 @@ class PlantNode:
         for key in (key_expressions.resume(name), relayed):
             self._ingress.on(key, Resume, self._accept_resume)
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
+        self._has_checks = getattr(type(backend), "checks", None) is not PlantBackend.checks
         self.subscriptions: Final = (
             key_expressions.stop(name),
             key_expressions.resume(name),
@@ -112,15 +114,12 @@ class PlantNode:
         self._clock: MachineClock | None = None
         self._now_ns = self._ahead_ns = self._late_ns = 0
         self._wrench: Wrench | None = None
+        self._followed: tuple[int, ...] = ()
+        """By whose clock it goes, as the last wrench told."""
         self._ending = False
         self._at_rest = self._obeying = True
         self._numbers = SequenceNumbers(self.period_ns)
-        self._condition = ("braking", "no wrench yet")
-
-    @property
-    def condition(self) -> tuple[str, str]:
-        """What it does, driving or braking, and why it brakes."""
-        return self._condition
+        self.condition = ("braking", "no wrench yet")
 
     @property
     def done(self) -> bool:
@@ -178,7 +177,7 @@ class PlantNode:
 
     def runs_by(self, clock: MachineClock) -> None:
         """See `agent.node.Node`. Its agent's wrenches tell that one's clock, which it follows."""
-        self._clock = clock
+        self._clock, self._followed = clock, ()
 
     def _follow(self, theirs: tuple[int, ...]) -> None:
         """Goes by the agent's wall clock from now on, if both come from one monotonic clock.
@@ -209,9 +208,11 @@ class PlantNode:
 
     def _accept(self, wrench: Wrench, now_ns: int) -> str | None:
         """Takes a wrench; returns why it is refused, None when it is not."""
-        if wrench.clock:
-            self._follow(wrench.clock)
-            now_ns = self._now_ns - self._ahead_ns
+        if wrench.clock != self._followed:
+            self._followed = wrench.clock
+            if wrench.clock:
+                self._follow(wrench.clock)
+                now_ns = self._now_ns - self._ahead_ns
         if wrench.time_ns > now_ns + FUTURE_NS_MAX:
             return "future"
         if self._wrench is not None and wrench.time_ns <= self._wrench.time_ns:
@@ -239,21 +240,21 @@ class PlantNode:
         """What the body is to do now, None to brake; sets `condition`."""
         wrench = self._wrench
         if self._ending:
-            self._condition = "braking", "the plant was told to end"
+            self.condition = "braking", "the plant was told to end"
         elif self._latch.stopped:
             # Its agent brakes as well: a stop must not hang on one process.
-            self._condition = "braking", self._latch.stopped
+            self.condition = "braking", self._latch.stopped
         elif wrench is None:
-            self._condition = "braking", "no wrench yet"
+            self.condition = "braking", "no wrench yet"
         elif now_ns - wrench.time_ns > self._timeout_ns:
-            self._condition = "braking", f"no fresh wrench for {(now_ns - wrench.time_ns) / NS_PER_S:.2f} s"
+            self.condition = "braking", f"no fresh wrench for {(now_ns - wrench.time_ns) / NS_PER_S:.2f} s"
             if now_ns - wrench.time_ns - self._late_ns <= self._timeout_ns:
                 late = f"overloaded: this machine ran late by {self._late_ns / NS_PER_S:.2g} s"
-                self._condition = "braking", late
+                self.condition = "braking", late
         elif wrench.brake:
-            self._condition = "braking", "its agent brakes"
+            self.condition = "braking", "its agent brakes"
         else:
-            self._condition = "driving", ""
+            self.condition = "driving", ""
             return Command(wrench.force, wrench.torque)
         return None
 
@@ -263,9 +264,9 @@ class PlantNode:
         Returns what to publish: its state as measured, the true one where that may differ, its checks.
         """
         self._now_ns = now_ns
-        self._ingress.arrive(now_ns - self._ahead_ns)
-        self._lasting.look(None)
         fleet_ns = now_ns - self._ahead_ns
+        self._ingress.arrive(fleet_ns)
+        self._lasting.look(None)
         command = self._command(fleet_ns)
         self._late_ns = 0
         reading = self._backend.step(now_ns, command)
@@ -274,15 +275,18 @@ class PlantNode:
         pose, self._obeying = reading.pose, reading.obeying
         self._at_rest = at_rest(pose.speed, pose.yaw_rate)
         sequence = self._numbers.next(reading.time_ns)
-        measured = self._measurement.measured(pose, reading.time_ns, sequence)
         out = []
-        if measured is not None:
-            out.append((self._key_state, encode(self._state(sequence, reading, measured, command))))
-        if not self._measurement.exact:
+        if self._measurement.exact:
+            out.append((self._key_state, encode(self._state(sequence, reading, pose, command))))
+        else:
+            measured = self._measurement.measured(pose, reading.time_ns, sequence)
+            if measured is not None:
+                out.append((self._key_state, encode(self._state(sequence, reading, measured, command))))
             out.append((self._key_truth, encode(self._state(sequence, reading, pose, command))))
-        checks = self._backend.checks(now_ns)
-        if checks and (self._changed(checks) or now_ns >= self._checks_due_ns):
-            out.append((self._key_checks, self._checks_message(checks, now_ns)))
+        if self._has_checks:
+            checks = self._backend.checks(now_ns)
+            if checks and (self._changed(checks) or now_ns >= self._checks_due_ns):
+                out.append((self._key_checks, self._checks_message(checks, now_ns)))
         out += self._ingress.outgoing(fleet_ns, flush=command is None)
         return out
 
@@ -324,5 +328,5 @@ class PlantNode:
             command is not None and reading.healthy and reading.obeying,
             reading.healthy,
             reading.obeying,
-            clipped(reading.note),
+            clipped(reading.note) if reading.note else "",
         )

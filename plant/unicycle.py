@@ -76,14 +76,27 @@ def integrate(pose: Pose, force: Actuator, torque: Actuator, mass: float, inerti
     The position is the integral of v (cos theta, sin theta), by Gauss-Legendre quadrature in steps of
     at most `TURN_MAX` radians.
     """
+    speed_end = pose.speed + force.first_integral(dt) / mass
+    rate_end = pose.yaw_rate + torque.first_integral(dt) / inertia
+    return _moved(pose, force, torque, mass, inertia, dt, speed_end, rate_end)
+
+
+def _moved(
+    pose: Pose,
+    force: Actuator,
+    torque: Actuator,
+    mass: float,
+    inertia: float,
+    dt: float,
+    speed_end: float,
+    rate_end: float,
+) -> Pose:
+    """As `integrate`, to a speed and a yaw rate that are known."""
     x0, y0, heading0, speed0, rate0 = pose
-    a, b, lag_a = force.target / mass, (force.start - force.target) * force.lag / mass, force.lag
-    spin, c, lag_c = (
-        torque.target / inertia,
-        (torque.start - torque.target) * torque.lag / inertia,
-        torque.lag,
-    )
-    rate_end = rate0 + torque.first_integral(dt) / inertia
+    start, target, lag_a = force
+    a, b = target / mass, (start - target) * lag_a / mass
+    start, target, lag_c = torque
+    spin, c = target / inertia, (start - target) * lag_c / inertia
     steps = max(1, ceil(max(abs(rate0), abs(rate_end)) * dt / TURN_MAX))
     h = dt / steps
     x = y = 0.0
@@ -101,8 +114,7 @@ def integrate(pose: Pose, force: Actuator, torque: Actuator, mass: float, inerti
     heading = heading0 + (rate0 + 0.5 * spin * dt) * dt
     if c:
         heading += c * (dt - lag_c * (1.0 - exp(-dt / lag_c)))
-    speed = speed0 + force.first_integral(dt) / mass
-    return Pose(x0 + h * x, y0 + h * y, heading, speed, rate_end)
+    return Pose(x0 + h * x, y0 + h * y, heading, speed_end, rate_end)
 
 
 def _limited(value: float, limit: float | None) -> float:
@@ -123,6 +135,8 @@ class Unicycle(PlantBackend):
         self._body = body
         self._pose = Pose(body.x_m, body.y_m, body.heading_rad, 0.0, 0.0)
         self._force = self._torque = Actuator(0.0, 0.0, 0.0)
+        self._gives = 0.0, 0.0
+        """What the actuators give now."""
         self._time_ns: int | None = None
         self._period_s, self._timeout_s = period_s, timeout_s
         self._brake_time_s = max(BRAKE_TIME_S, period_s)
@@ -139,8 +153,15 @@ class Unicycle(PlantBackend):
             self._actuate(command, self._body.actuator_lag_s)
         else:
             self._actuate(self._brake(), 0.0)  # a brake is not the motor: it has no lag
-        force, torque = self._force.mean(self._period_s), self._torque.mean(self._period_s)
-        return Reading(now_ns, self._pose, force, torque, not self._broken, self._broken)
+        force, torque = self._force, self._torque
+        return Reading(
+            now_ns,
+            self._pose,
+            force.mean(self._period_s) if force.lag > 0.0 else force.target,
+            torque.mean(self._period_s) if torque.lag > 0.0 else torque.target,
+            not self._broken,
+            self._broken,
+        )
 
     @property
     def pose(self) -> Pose:
@@ -150,8 +171,9 @@ class Unicycle(PlantBackend):
     def _actuate(self, command: Command, lag: float) -> None:
         """From now on the actuators go from what they give to `command`, within their limits."""
         body = self._body
-        self._force = Actuator(self._force.start, _limited(command.force, body.max_force_n), lag)
-        self._torque = Actuator(self._torque.start, _limited(command.torque, body.max_torque_nm), lag)
+        (force, torque), (gives, twists) = command, self._gives
+        self._force = Actuator(gives, _limited(force, body.max_force_n), lag)
+        self._torque = Actuator(twists, _limited(torque, body.max_torque_nm), lag)
 
     def _move(self, dt: float) -> None:
         """The body `dt` seconds on, with what was asked of it last.
@@ -176,16 +198,20 @@ class Unicycle(PlantBackend):
     def _integrate(self, dt: float) -> None:
         """The body `dt` seconds on under the actuators as they are; broken where that is too fast."""
         body, pose, force, torque = self._body, self._pose, self._force, self._torque
-        speed = pose.speed + force.first_integral(dt) / body.mass_kg
-        yaw_rate = pose.yaw_rate + torque.first_integral(dt) / body.inertia_kgm2
+        mass, inertia = body.mass_kg, body.inertia_kgm2
+        impulse = force.first_integral(dt) if force.lag > 0.0 else force.target * dt
+        spin = torque.first_integral(dt) if torque.lag > 0.0 else torque.target * dt
+        speed, yaw_rate = pose.speed + impulse / mass, pose.yaw_rate + spin / inertia
         if abs(speed) <= SPEED_MAX and abs(yaw_rate) <= YAW_RATE_MAX:
-            self._pose = integrate(pose, force, torque, body.mass_kg, body.inertia_kgm2, dt)
-            self._force = Actuator(force.value(dt), force.target, force.lag)
-            self._torque = Actuator(torque.value(dt), torque.target, torque.lag)
+            self._pose = _moved(pose, force, torque, mass, inertia, dt, speed, yaw_rate)
+            self._gives = (
+                force.value(dt) if force.lag > 0.0 else force.target,
+                torque.value(dt) if torque.lag > 0.0 else torque.target,
+            )
         else:  # also when they are not numbers
             self._broken = f"driven to {speed:.3g} m/s and {yaw_rate:.3g} rad/s: no such body holds together"
             self._pose = pose._replace(speed=0.0, yaw_rate=0.0)
-            self._force = self._torque = Actuator(0.0, 0.0, 0.0)
+            self._gives = 0.0, 0.0
 
     def _brake(self) -> Command:
         """Force and torque that take speed and yaw rate to zero in a few brake times, and hold them there."""
