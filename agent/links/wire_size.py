@@ -24,8 +24,8 @@ ACKNOWLEDGED: Final = 0.75
 """Share of packets that are acknowledged by a packet of its own: others are by what goes the other way."""
 KEEP_ALIVE_BYTES: Final = 3
 """A sign of life of Zenoh's, in a packet of its own, on a link on which nothing else goes."""
-KEEP_ALIVE_HZ: Final = 4.0
-"""How often it goes: four times within `agent.runtime.bus.LEASE_MS`."""
+KEEP_ALIVE_HZ: Final = 3.0
+"""How often it goes: three times within `agent.runtime.bus.LEASE_MS`."""
 
 
 def carried_bytes(payload_bytes: float, secured: bool) -> float:

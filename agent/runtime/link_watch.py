@@ -9,8 +9,8 @@ stands, and is never read from. Measured, with 0.3 s and two cores that are busy
 links dead for good, always at the side that had opened the link; with 15 ms 241 of 400.
 
 A deaf link, whatever has made it one: bytes wait, nobody reads them, and yet this process sends on it, as it
-does four times in a `LEASE_MS` (`agent.runtime.bus`). So it runs, and has the link for one of its own, which
-what knocks at its port is not.
+does `KEEP_ALIVES` times in a `LEASE_MS` (`agent.runtime.bus`). So it runs, and has the link for one of its
+own, which what knocks at its port is not.
 """
 
 from __future__ import annotations

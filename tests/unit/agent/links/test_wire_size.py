@@ -14,7 +14,7 @@ from agent.links.wire_size import (
     joined_bytes,
     keep_alive_bytes,
 )
-from agent.runtime.bus import LEASE_MS
+from agent.runtime.bus import KEEP_ALIVES, LEASE_MS
 
 
 def test_a_message_has_what_zenoh_tls_tcp_and_ip_put_around_it() -> None:
@@ -30,6 +30,6 @@ def test_a_large_one_takes_more_packets(size: int, packets: int) -> None:
 
 
 def test_signs_of_life_come_four_times_in_a_lease() -> None:
-    assert KEEP_ALIVE_HZ * LEASE_MS / 1000 == 4.0
+    assert KEEP_ALIVE_HZ * LEASE_MS / 1000 == KEEP_ALIVES
     assert keep_alive_bytes(secured=False) == KEEP_ALIVE_BYTES + HEADERS_BYTES
     assert keep_alive_bytes(secured=True) == KEEP_ALIVE_BYTES + HEADERS_BYTES + 22

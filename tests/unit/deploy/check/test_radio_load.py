@@ -73,7 +73,7 @@ def test_an_idle_link_of_a_mesh_carries_signs_of_life() -> None:
     there = fleet()
     far = 5 - len(listeners(there, resolve(there))[1])
     assert far > 0
-    signs = 3 * far * (keep_alive_bytes(False) + acknowledged_bytes(0.0, False))
+    signs = 2 * far * (keep_alive_bytes(False) + acknowledged_bytes(0.0, False))
     beacons = 3 * ((5 - far) * joined_bytes(BEACON))
     beacons += 3 * far * (carried_bytes(BEACON, False) + acknowledged_bytes(BEACON, False))
     assert often.up - seldom.up == pytest.approx(8.0 * (beacons - signs))
