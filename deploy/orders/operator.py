@@ -188,10 +188,11 @@ class Operator(Known):
     @property
     def behind(self) -> bool:
         """Whether agents have acknowledged an order that was not heard here: they relay it when asked."""
+        mission_version, order_version, known = self.mission_version, self.order_version, self.mission_mark
         return any(
-            mission > self.mission_version or order > self.order_version
+            mission > mission_version or order > order_version
             for mission, order in self._acknowledged.values()
-        ) or any(mark > self.mission_mark for mark in self._marks.values())
+        ) or any(mark > known for mark in self._marks.values())
 
     def ahead(self, now_ns: int) -> list[int]:
         """Robots that have acknowledged an order which was not heard here, if its version can be true."""
