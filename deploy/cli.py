@@ -165,6 +165,9 @@ def _fork_server(asked: str, arguments: Collection[str]) -> AbstractContextManag
 
 def process() -> int:
     """`main`, as all that this process does: threads that others left running do not keep it."""
+    # OpenBLAS has a thread for each processor, and they spin for each other: where others use one of two,
+    # what takes a second alone takes twelve. Nothing here is large enough to gain by it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         status = main()
     except SystemExit as ended:  # of the parser

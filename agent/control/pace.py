@@ -30,9 +30,9 @@ def steps(fleet: Fleet) -> int:
 
 
 def rest_period_ns(fleet: Fleet) -> int:
-    """Time between two ticks of an agent of a large fleet while no mission is near, a power of two of periods,
-    ns; 0 for the usual. Of hundreds of processes that only wait, the machine is to have something left for
-    those that start."""
+    """Time between two ticks of an agent of a large fleet while no mission is near, ns, a power of two of
+    periods; 0 for the usual. Hundreds of processes that only wait are to leave the machine to those that
+    start."""
     if not fleet.is_large:
         return 0
     period_ns = fleet.period_ns

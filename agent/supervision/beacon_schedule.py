@@ -23,9 +23,9 @@ SURE_M: Final = 0.03
 """A place is told again that is off by so much more than its age makes up for: measurements scatter."""
 WAY_M: Final = 0.5
 """When it has gone so far it says it at the latest: it may have come to a stand on any of it."""
-HURRIES_HZ: Final = 25
-"""So many times a second all robots of a fleet together hurry for what can wait for their next beacon: whom they
-do not hear, and what they know of those. What a fleet adds to its own trouble is bounded."""
+HURRIES_HZ: Final = 10
+"""So many times a second all robots of a fleet together hurry for what can wait for the next beacon: if one
+follows, whom it does not hear, what it knows of those. What a fleet adds to its own trouble is bounded."""
 RELAY_NS: Final = NS_PER_S
 """A robot that others do not hear is told of again after so long at the latest."""
 
@@ -96,7 +96,7 @@ class BeaconSchedule:
 
     def _has_news(self, beacon: Beacon, said: Beacon) -> bool:
         """Whether others do not know all that `beacon` tells, who have heard `said`."""
-        if self._is_missed or self._tells_news(beacon):
+        if self._is_missed or beacon.following is not said.following or self._tells_news(beacon):
             return True
         minds = self.minds
         if minds is None:
@@ -106,7 +106,12 @@ class BeaconSchedule:
     def _tells_news(self, beacon: Beacon) -> bool:
         """Whether it tells something new of a silent robot."""
         rows = self._rows
-        return any(row.robot not in rows or _is_elsewhere(row, rows[row.robot]) for row in beacon.silent)
+        return any(
+            (said := rows.get(row.robot)) is None
+            or row.following is not said.following
+            or _is_elsewhere(row, said)
+            for row in beacon.silent
+        )
 
     def heard(self, beacon: Beacon, own: _Marks) -> None:
         """Takes another's beacon: it may lack what this robot has told, or does not hear it any more.
@@ -129,16 +134,17 @@ def _marks(beacon: Beacon) -> _Marks:
 
 
 def _presses(beacon: Beacon, said: Beacon) -> bool:
-    """Whether others go by what is not so any more, who have heard `said`: where it is, what it does."""
-    if beacon.following is not said.following or _marks(beacon) != _marks(said):
+    """Whether others go by what is not so any more, who have heard `said`: which orders it has, where it is.
+
+    Whether it follows those near it see from its hand states; the others from where it is.
+    """
+    if _marks(beacon) != _marks(said):
         return True
     return abs(beacon.doubt - said.doubt) > SURE_M or _is_elsewhere(beacon, said)
 
 
 def _is_elsewhere(now: Beacon | Silent, said: Beacon | Silent) -> bool:
-    """Whether a robot is not where it was said to be going."""
-    if now.following is not said.following:
-        return True
+    """Whether a robot is not where it was said to be going; others go by what was said."""
     age_s = (now.time_ns - said.time_ns) / NS_PER_S
     ahead_s = age_s if said.following else 0.0
     off = hypot(now.x - said.x - ahead_s * said.vx, now.y - said.y - ahead_s * said.vy)

@@ -20,15 +20,15 @@ ROBOTS_MIN: Final = 13
 AGENT_TICK_S: Final = 0.95e-3
 MESH_TICK_S: Final = 0.35e-3
 AGENT_MESSAGE_S: Final = 38e-6
-PLANT_TICK_S: Final = 0.45e-3
-ROUTER_MESSAGE_S: Final = 6e-6
+PLANT_TICK_S: Final = 0.36e-3
+ROUTER_MESSAGE_S: Final = 15e-6
 RECORDED_S: Final = 75e-6
 """Processor time, s, Zenoh's part in it: of an agent for a round of its loop, so much more where it says what
 it says to each of the others, and for a message that it hears; of a plant for a round; of a router for a
 message that it passes on; of `run` for one that it records."""
-FULL: Final = 0.6
-"""So large a share of a machine may be used: robots all do their rounds at the same time, starting them takes
-more than driving, and of many each finds the processor's caches full of the others'."""
+FULL: Final = 0.82
+"""So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
+takes more than driving. What is nearly as much slows down at times (`agent.supervision.overload`)."""
 TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
 TIMEOUT_PERIODS: Final = 3.0
 """Fields of `[control]` that must be at least two periods; with so many one lost message is nothing."""

@@ -20,7 +20,7 @@ from deploy.check.capacity import ROBOTS_MIN, Machine, overload
 
 ROUNDS: Final = 40
 MESSAGES: Final = 150
-ROUND_S: Final = 1.65e-3
+ROUND_S: Final = 1.16e-3
 """Processor time of one round of `_work` where the costs of `deploy.check.capacity` were measured."""
 BUSY: Final = (
     "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nos.write(1, b'.')\nwhile True: pass"

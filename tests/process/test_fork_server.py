@@ -81,7 +81,6 @@ def test_robots_with_a_router_are_one_session_so_that_it_is_not_one_of_many(tmp_
     no_trouble_in_logs(tmp_path / "out")
 
 
-
 def test_a_run_whose_fork_server_is_killed_ends(tmp_path: Path) -> None:
     with drive(tmp_path) as command:
         command.wait_until_driving()

@@ -290,3 +290,23 @@ def test_nothing_is_measured_for_a_small_fleet_or_one_on_hosts(
     path = tmp_path / "hosts.toml"
     path.write_text(on_hosts.replace("[network]\n", f"[network]{router}") + hosts)
     assert main(["check", str(path)]) == 0
+
+
+def test_numpy_of_the_command_has_one_thread_unless_somebody_says_otherwise() -> None:
+    """Two that spin for each other on processors that others use make a `check` of a second take twelve."""
+    code = (
+        "import os, sys; from deploy.cli import process; sys.argv = ['handfast', 'check', 'pair']; "
+        "assert 'numpy' not in sys.modules; process(); assert 'numpy' in sys.modules; "
+        "print(os.environ['OPENBLAS_NUM_THREADS'], file=sys.stderr)"
+    )
+    for given, expected in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")):
+        environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            env=environment | given,
+            timeout=60,
+        )
+        assert done.stderr.split() == [expected]

@@ -158,9 +158,7 @@ def test_of_many_that_fall_silent_together_the_nearest_are_looked_for_first(
 @given(
     st.floats(1.5, 6.0),
     st.lists(
-        st.tuples(
-            st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)
-        ),
+        st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
         min_size=2,
         max_size=12,
     ),
@@ -208,21 +206,22 @@ def test_who_says_that_it_goes_elsewhere_is_looked_at_again_at_once() -> None:
 def test_in_a_large_fleet_whoever_is_not_near_is_not_looked_at_in_every_look(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    is_near = Proximity._is_near
+    asked: list[int] = []
+
+    def noted(proximity: Proximity, peer: Peer, now_ns: int, here: Hand) -> bool:
+        asked.append(peer.robot)
+        return is_near(proximity, peer, now_ns, here)
+
+    monkeypatch.setattr(Proximity, "_is_near", noted)
     for overrides, looks in (((), 10), (("avoidance.beacon_interval_max_s=2.0",), 2)):
         scene = Scene(*overrides)
-        asked: list[int] = []
-        is_near = scene.proximity._is_near
-
-        def noted(peer: Peer, now_ns: int, here: Hand) -> bool:
-            asked.append(peer.robot)
-            return is_near(peer, now_ns, here)
-
-        monkeypatch.setattr(scene.proximity, "_is_near", noted)
+        asked.clear()
         scene.beacon(2.02)
         for _ in range(10):
             scene.look()
             scene.wait(LOOK_PERIOD_NS // 5)
-        assert len(asked) == looks
+        assert asked == [3] * looks
 
 
 def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():

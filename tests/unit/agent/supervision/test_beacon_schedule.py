@@ -189,14 +189,14 @@ def test_what_can_wait_hurries_no_oftener_than_its_share() -> None:
     bench.run(5.0)
     since, share_s = len(bench.said), 60 / HURRIES_HZ
     for k in range(60):
-        bench.run(0.2, unheard=(4 + k % 3,))
+        bench.run(0.2, unheard=(4 + k % 3,), follows=bool(k % 2))
     gaps = [b - a for a, b in pairwise(at for at, _ in bench.said[since:])]
     assert sum(gap < 0.3 for gap in gaps) <= 2 * (12.0 / share_s + 1)
     assert max(gaps) <= 1.61, "and yet it is told at the latest when it would have been"
     bench = quiet()
     for k in range(20):
-        bench.run(0.2, follows=bool(k % 2))
-    assert len(bench.said) >= 20, "what others go by is told at once, always"
+        bench.run(0.2, place=(float(k), 0.0, 0.0, 0.0))
+    assert len(bench.said) >= 20, "where it is is told at once, always"
 
 
 def test_who_wants_no_lower_rate_than_others_has_no_news_of_it() -> None:

@@ -108,7 +108,9 @@ def test_where_a_mesh_never_fits_routers_are_proposed() -> None:
 
 
 def test_fewer_beacons_are_proposed_before_a_rate_that_is_low() -> None:
-    there = load_fleet(FLEETS / "lattice45.toml", ["network.budget=200000"])
+    there = load_fleet(
+        FLEETS / "lattice45.toml", ["network.budget=200000", "avoidance.beacon_interval_max_s=0.9"]
+    )
     sets = fitting_rates(there, resolve(there), operator=False)
     assert sets is not None
     assert sets["fleet.rate_hz"] >= 10
