@@ -245,7 +245,7 @@ class Rule(Impairments):
         None, "`kill`, `restart`: its disk is lost with it; it starts again without any order that it kept."
     )
     tick_jitter: float | None = setting(
-        None, "Ticks of agent and plant come late by up to this.", unit="s", ge=0, le=1, example='"5ms"'
+        None, "Ticks of agent and plant come late by up to this.", unit="s", ge=0, le=2, example='"5ms"'
     )
     tick_jitter_share: float | None = setting(
         None,

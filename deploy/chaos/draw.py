@@ -17,6 +17,7 @@ from deploy.chaos.profiles.fast import draw_fast
 from deploy.chaos.profiles.late import draw_late
 from deploy.chaos.profiles.low_rate import draw_low_rate
 from deploy.chaos.profiles.mixed import draw_mixed
+from deploy.chaos.profiles.overloaded import draw_overloaded
 from deploy.chaos.profiles.reordered import draw_reordered
 from deploy.chaos.profiles.scale import draw_scale
 
@@ -46,12 +47,20 @@ PROFILES: Final[dict[str, Profile]] = {
     "low-rate": Profile(1.5, "2 to 15 Hz", draw_low_rate),
     "scale": Profile(1.0, "places 0.3 to 10 m apart", draw_scale),
     "reordered": Profile(0.5, "formations that change while some do not hear others", draw_reordered),
+    "overloaded": Profile(1.0, "processes that stand now and then amid others that go on", draw_overloaded),
 }
+_LATER: Final = "overloaded"
+"""It takes its seeds from all others alike: those that are left draw what they drew before there was it."""
 
 
 def profile_of(seed: int) -> str:
     """The name in `PROFILES` of the scenario's kind."""
-    return Dice("profile", seed).weighted([(name, each.weight) for name, each in PROFILES.items()])
+    weights = {name: each.weight for name, each in PROFILES.items()}
+    share = weights[_LATER] / sum(weights.values())
+    if Dice("profile", _LATER, seed).chance(share):
+        return _LATER
+    del weights[_LATER]
+    return Dice("profile", seed).weighted(list(weights.items()))
 
 
 def seeds_of(profile: str | None, first: int, number: int) -> list[int]:

@@ -116,6 +116,7 @@ _FAULTS: Final = {
     "own": "between agent and plant",
     "clock": "clock skew or drift",
     "jitter": "late ticks",
+    "stalls": "processes that stand now and then",
     "dropout": "measurements not taken",
     "range": "links of limited range",
     "deaf": "deaf one way",

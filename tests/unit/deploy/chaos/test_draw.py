@@ -102,6 +102,7 @@ def test_everything_is_drawn_in_some(drawn: dict[int, tuple[dict[str, Any], Flee
         "fault: delay everywhere", "fault: loss everywhere",
         "fault: links of limited range", "fault: kill agent", "fault: kill plant", "fault: pause agent",
         "fault: restart agent", "fault: clock skew or drift", "fault: late ticks",
+        "fault: processes that stand now and then",
     } <= set(found)  # fmt: skip
     assert {fleet.trajectory.kind for _, fleet in drawn.values()} == {"hold", "line", "circle", "waypoints"}
 

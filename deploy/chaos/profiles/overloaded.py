@@ -1,0 +1,76 @@
+"""Scenarios on machines that have too much to do: each process stands now and then, and others go on (PURE).
+
+Many drive close together and fast for that: a robot whose plant does not hear its agent for its timeout
+brakes amid others that go on, and who follows it has to know. All links are whole. Lengths in m, W.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final
+
+from deploy.chaos.dice import Dice, Tables
+from deploy.chaos.draw_formation import draw_lattice
+from deploy.chaos.profiles import pieces
+
+ROBOTS: Final = (8, 16)
+SPACING_M: Final = (0.8, 1.2)
+SAFE_M: Final = (0.2, 0.3)
+SCATTER_M: Final = 0.1
+"""Robots start so far beside their places in x and in y at most."""
+COURSE_SHARES: Final = (0.3, 0.7)
+"""Least and most of the greatest speed that the course has."""
+STALL_MS: Final = (600, 1500)
+"""Least and most of the longest that a process stands."""
+STALLS_HZ: Final = (0.2, 0.6)
+"""So often each process does. All stand where most processes of a fleet are late: this is seldom enough."""
+STALLS_S: Final = (20.0, 30.0)
+RECOVERED_S: Final = 21.0
+_RATES_HZ: Final = ((10, 3.0), (15, 1.0), (20, 1.0))
+_TIMEOUT_PERIODS: Final = 3.0
+
+
+def draw_overloaded(seed: int) -> Tables:
+    """The tables of the fleet file of this seed."""
+    dice = Dice("overloaded", seed)
+    rate_hz = dice.weighted(_RATES_HZ)
+    timeout_s = round(max(0.2, _TIMEOUT_PERIODS / rate_hz), 2)
+    speed = dice.between(0.7, 1.2, 2)
+    control: Tables = {
+        "max_speed_mps": speed,
+        "max_acceleration": dice.between(1.5, 4.0, 1),
+        "plant_timeout_s": timeout_s,
+        "wrench_timeout_s": timeout_s,
+    }
+    reach_m = pieces.draw_reach(dice, speed, rate_hz)
+    ids = list(range(1, dice.whole(*ROBOTS) + 1))
+    shape = draw_lattice(Dice("shape", seed), ids, dice.between(*SPACING_M))
+    course_mps, angle = dice.between(*COURSE_SHARES) * speed, 2.0 * pi * dice.share()
+    if dice.chance(0.7):
+        course = pieces.circle(dice, (0.0, 0.0), dice.between(3.0, 5.0, 1), course_mps, angle)
+    else:
+        course = pieces.line(course_mps, angle)
+    stalls_s = dice.between(*STALLS_S, 1)
+    duration_s = stalls_s + (RECOVERED_S if dice.chance(0.2) else 0.0)
+    tables = pieces.meeting(
+        seed, rate_hz, duration_s, shape, dice.between(*SAFE_M, 2), control, course, reach_m
+    )
+    starts = {
+        robot: (x + dice.between(-SCATTER_M, SCATTER_M), y + dice.between(-SCATTER_M, SCATTER_M))
+        for robot, (x, y) in shape.offsets.items()
+    }
+    tables["robot"] = pieces.robots_at(dice, starts, (), reach_m)
+    tables["faults"] = {"rule": [_stalls(dice, rate_hz, stalls_s)]}
+    return tables
+
+
+def _stalls(dice: Dice, rate_hz: float, until_s: float) -> Tables:
+    """Of all processes, each by itself; many that follow one another soon, or few."""
+    share = 100.0 * dice.between(*STALLS_HZ) / rate_hz
+    return {
+        "name": "stalls 1",
+        "tick_jitter": f"{dice.whole(*STALL_MS)}ms",
+        "tick_jitter_share": f"{share:.2g}%",
+        "at": 0.0,
+        "for": until_s,
+    }
