@@ -37,7 +37,8 @@ class Outbox:
 
     Attributes:
         keys: on which it publishes.
-        overload: by how many steps it wants the rate of all to fall.
+        overload: by how many steps it wants the rate of all to fall; others_overload: the most that others
+            want.
         stood_ms: for how much of the last seconds its process did not run.
     """
 
