@@ -19,7 +19,7 @@ from agent.control.controller import Controller
 from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
-from agent.control.peers.lateness import OUTAGE_NS
+from agent.control.peers.lateness import IN_TIME_NS, OUTAGE_NS, STOOD_KEPT_NS
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice, MissionRefused
@@ -233,6 +233,8 @@ class Agent:
         # By the time of the tick what comes now would be quicker than it was, and what came meanwhile older.
         self._peers.behind_ns = late_ns % self.period_ns
         self._peers.stood = late_ns >= self.period_ns
+        if late_ns >= IN_TIME_NS:
+            self._peers.stood_until_ns = now_ns + STOOD_KEPT_NS
         self._stood_until_ns = now_ns + STOOD_NS
 
     def _accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:

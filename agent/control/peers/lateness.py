@@ -24,6 +24,8 @@ UNSURE_NS: Final = NS_PER_S // 4
 """A robot that is late by so much may have stopped: it is looked for where it may stand."""
 LATE_MAX_NS: Final = 2 * NS_PER_S
 """No more than this is forgiven a link for being late as usual."""
+STOOD_KEPT_NS: Final = 10 * NS_PER_S
+"""Who stood is likely to stand again within so long."""
 RARE: Final = 1e-5
 OUTAGE_NS: Final = NS_PER_S
 OUTAGE_PERIODS: Final = 12

@@ -29,6 +29,7 @@ from agent.control.peers.lateness import (
     IN_TIME_NS,
     LATE_MAX_NS,
     OUTAGE_NS,
+    STOOD_KEPT_NS,
     UNSURE_NS,
     Lateness,
     missed_at_least,
@@ -91,9 +92,9 @@ class Peer:
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
         "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
-        "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns", "off_m",
-        "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns", "time_ns", "token",
-        "trust",
+        "late_max_ns", "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns",
+        "off_m", "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns",
+        "stood_until_ns", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int, next_ns: int) -> None:
@@ -116,7 +117,8 @@ class Peer:
         self.ahead_ns = 0
         self.other_version = ""
         self.received = self.lost = self.delayed = self.duplicated = 0
-        self.far_until_ns = self.hand_next_ns = 0
+        self.far_until_ns = self.hand_next_ns = self.stood_until_ns = 0
+        self.late_max_ns = LATE_MAX_NS
         self.off_m = 0.0
 
     def age_ns(self, now_ns: int) -> int | None:
@@ -193,6 +195,7 @@ class Peers:
     Attributes:
         behind_ns: how long after its time the tick begins whose messages are taken.
         stood: whether ticks before that were missed: what waited meanwhile is no older on its link than ever.
+        stood_until_ns: until then it counts that the own process stood lately.
         missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
@@ -220,6 +223,7 @@ class Peers:
         self._period_ns = self._round_ns = period_ns
         self.behind_ns = 0
         self.stood = False
+        self.stood_until_ns = 0
         self.missed_ns: Callable[[int], int] = _none_missed
         self.listened: Collection[int] = ()
         self._beacon_ns = beacon_ns
@@ -477,6 +481,7 @@ class Peers:
         since_ns = time_ns - peer.hand_ns
         expected_ns = peer.next_ns
         peer.next_ns = max(self._beacon_ns, beacon.next_ms * NS_PER_MS)
+        self._forgive(peer, beacon, now_ns)
         before = peer.message
         if peer.hand_next_ns and since_ns <= peer.hand_next_ns + OUTAGE_NS:  # of two one says how late it is
             self._note_promised(peer, beacon, now_ns, expected_ns)
@@ -503,11 +508,25 @@ class Peers:
         if peer.gone_ns >= time_ns:  # it is there, though its clock be behind the operator's
             peer.gone_ns = time_ns - 1
 
+    def _forgive(self, peer: Peer, message: HandState | Beacon, now_ns: int) -> None:
+        """Decides by the newest message how much is forgiven its link at most.
+
+        A machine that has too much to do makes messages late and its processes stand, again and again. The
+        next time that a robot is silent which stood lately, it may have braked; and who stood himself brakes
+        too late for it. Neither has time in which it would be predicted as driving on.
+        """
+        if message.stood_ms * NS_PER_MS >= IN_TIME_NS:
+            peer.stood_until_ns = message.time_ns + STOOD_KEPT_NS
+        stood = message.time_ns < peer.stood_until_ns or now_ns < self.stood_until_ns
+        late_max_ns = 0 if stood else LATE_MAX_NS
+        peer.lateness.most_ns += late_max_ns - peer.late_max_ns  # beside what it promised
+        peer.late_max_ns = late_max_ns
+
     def _expect_beacon(self, peer: Peer) -> None:
         """The next that comes of it is a beacon, as late as it said; of one that is listened to something
         else must come before."""
         next_ns = self._beacon_ns if peer.listened else peer.next_ns
-        peer.lateness.most_ns = LATE_MAX_NS + 2 * (next_ns - self._beacon_ns)
+        peer.lateness.most_ns = peer.late_max_ns + 2 * (next_ns - self._beacon_ns)
         peer.lateness.expect(next_ns)
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:
@@ -538,7 +557,8 @@ class Peers:
         age_ns = now_ns + peer.clock.used_ns - time_ns
         if age_ns > 2 * max(period_ns, self._period_ns):
             peer.delayed += 1
-        peer.lateness.most_ns = LATE_MAX_NS
+        self._forgive(peer, message, now_ns)
+        peer.lateness.most_ns = peer.late_max_ns
         if message.next_ms or peer.hand_next_ns:
             self._note_promised(peer, message, now_ns, peer.next_ns)
             peer.hand_next_ns = message.next_ms * NS_PER_MS

@@ -10,6 +10,7 @@ import pytest
 from agent.common.time import NS_PER_S
 from agent.control import law
 from agent.control.hand import Pose
+from agent.control.peers.lateness import STOOD_KEPT_NS
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
@@ -436,3 +437,12 @@ def test_a_process_that_stood_says_so_for_a_while():
     said = [out.hand.stood_ms for out in bench.run(round(2.2 * NS_PER_S / PERIOD))]
     assert said[0] == 10 * PERIOD // 1_000_000
     assert said[-1] == 0
+
+
+@pytest.mark.parametrize(("late_ns", "kept"), [(99_000_000, False), (100_000_000, True)])
+def test_who_stood_for_long_forgives_no_link_for_a_while(late_ns: int, kept: bool):
+    bench = Bench()
+    bench.drive()
+    bench.now += 10 * PERIOD
+    bench.agent.late(bench.now, late_ns)
+    assert bench.agent._peers.stood_until_ns == (bench.now + STOOD_KEPT_NS if kept else 0)

@@ -9,7 +9,7 @@ import pytest
 
 from agent.control.law import acting_error
 from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
-from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
+from agent.control.peers.lateness import LATE_MAX_NS, STOOD_KEPT_NS, UNSURE_NS
 from agent.control.peers.peers import (
     TRUST_GAINED_S,
     TRUST_LOST_S,
@@ -227,6 +227,45 @@ def test_what_waited_while_the_own_process_stood_was_not_late(stands: bool):
         if k == 50:
             assert (known.get(2).lateness.forgiven_ns > 0) is not stands
     assert known.get(2).lost == 0
+
+
+@pytest.mark.parametrize("beacons", [False, True])
+@pytest.mark.parametrize("stood_ms", [0, 99, 100])
+def test_nothing_is_forgiven_the_late_link_of_a_robot_that_stood_lately(stood_ms: int, beacons: bool):
+    """The next time it may have braked, and would be predicted as driving on."""
+    known, late_ns = peers(), 8 * S // 10
+    for k in range(100):
+        stamp = T0 + k * PERIOD
+        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
+    lateness = known.get(2).lateness
+    assert lateness.forgiven_ns > S // 2
+    stamp += PERIOD
+    said = message(2, 100, stamp)._replace(stood_ms=stood_ms)
+    if beacons:
+        known.accept_beacon(beacon(2, stamp)._replace(stood_ms=stood_ms), stamp + late_ns)
+        stamp += PERIOD  # what it says next has nothing of it any more
+        said = message(2, 101, stamp)
+    heard(known, said, now_ns=stamp + late_ns)
+    assert (lateness.forgiven_ns > S // 2) is (stood_ms < 100)
+    for k in range(round(STOOD_KEPT_NS / PERIOD) + 1):
+        stamp += PERIOD
+        heard(known, message(2, 102 + k, stamp), now_ns=stamp + late_ns)
+        if k == 100 and stood_ms >= 100:
+            assert lateness.forgiven_ns == 0
+    assert lateness.forgiven_ns > S // 2
+
+
+def test_nothing_is_forgiven_while_the_own_process_stood_lately():
+    known, late_ns = peers(), 8 * S // 10
+    known.stood_until_ns = T0 + late_ns + 4 * S
+    for k in range(200):
+        stamp = T0 + k * PERIOD
+        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
+        assert known.get(2).lateness.forgiven_ns == 0
+    for k in range(200, 260):
+        stamp = T0 + k * PERIOD
+        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
+    assert known.get(2).lateness.forgiven_ns > S // 2
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.5])
