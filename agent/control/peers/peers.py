@@ -558,7 +558,9 @@ class Peers:
         if age_ns > 2 * max(period_ns, self._period_ns):
             peer.delayed += 1
         self._forgive(peer, message, now_ns)
-        peer.lateness.most_ns = peer.late_max_ns
+        peer.lateness.most_ns = (
+            peer.late_max_ns or message.next_ms * NS_PER_MS
+        )  # what it promised is not late
         if message.next_ms or peer.hand_next_ns:
             self._note_promised(peer, message, now_ns, peer.next_ns)
             peer.hand_next_ns = message.next_ms * NS_PER_MS

@@ -255,6 +255,20 @@ def test_nothing_is_forgiven_the_late_link_of_a_robot_that_stood_lately(stood_ms
     assert lateness.forgiven_ns > S // 2
 
 
+def test_who_stood_lately_is_heard_until_its_next_message_was_promised():
+    known, next_ns = peers(), 4 * S // 10
+    peer = known.get(2)
+    known.listen({2}, T0)
+    for k in range(30):
+        stamp = T0 + k * next_ns
+        if k % 5 == 0:
+            known.accept_beacon(beacon(2, stamp - PERIOD)._replace(next_ms=2000, stood_ms=150), stamp)
+        said = message(2, k, stamp)._replace(next_ms=400, stood_ms=150)
+        heard(known, said, now_ns=stamp + PERIOD)
+    assert peer.is_heard(stamp + next_ns)
+    assert not peer.is_heard(stamp + next_ns + UNSURE_NS + PERIOD)
+
+
 def test_nothing_is_forgiven_while_the_own_process_stood_lately():
     known, late_ns = peers(), 8 * S // 10
     known.stood_until_ns = T0 + late_ns + 4 * S
