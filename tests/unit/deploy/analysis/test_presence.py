@@ -17,6 +17,7 @@ class Subscriber:
 
     def __init__(self) -> None:
         self.waiting: deque[Any] = deque()
+        self.handler = self
 
     def change(self, key: str, *, here: bool = True) -> None:
         kind = zenoh.SampleKind.PUT if here else zenoh.SampleKind.DELETE
