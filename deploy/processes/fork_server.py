@@ -48,8 +48,11 @@ START_S: Final = 0.3
 """Who takes longer waits for something else than processor time, and no other process waits for it."""
 YIELDING: Final = 5
 """So much nicer are many robots than the router that they share, and `run`: where the processor is short,
-what all of them wait for comes first. Where the kernel shares it out by sessions (sched(7), autogroup), which
-makes nothing of that, all of them are one, and the router is another."""
+what all of them wait for comes first."""
+ONE_SESSION: Final = 48
+"""More robots than these are one session. Kernels that share processors out by sessions (sched(7), autogroup)
+make nothing of who is nicer in another one, and the router would get one share of hundreds. Fewer do not need
+that, and it would leave them less beside other programs."""
 LOOK_S: Final = 0.25
 """How often who started this process is looked for."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -130,8 +133,9 @@ class Server:
     def _answer(self, request: Any, handles: Sequence[int]) -> Forked | None:
         if "fleet" in request:
             with suppress(Error):  # whoever needs it says so
-                self._are_many = preloaded.preload(request["fleet"]).is_routed
-                if self._are_many:
+                fleet = preloaded.preload(request["fleet"])
+                self._are_many = fleet.is_routed and len(fleet.robots) > ONE_SESSION
+                if fleet.is_routed:
                     os.nice(max(0, YIELDING - os.nice(0)))  # once, however many it reads
             self._settle()
             return None

@@ -17,8 +17,8 @@ from tests.process.harness import Command, children, no_trouble_in_logs, running
 NETWORK = ("--set", "network.base_port=21120")
 
 
-def drive(folder: Path, *more: str) -> Command:
-    return Command(folder, "run", "pair", "--no-report", "--out", str(folder / "out"), *NETWORK, *more)
+def drive(folder: Path) -> Command:
+    return Command(folder, "run", "pair", "--no-report", "--out", str(folder / "out"), *NETWORK)
 
 
 def server_of(command: Command) -> int:
@@ -65,19 +65,6 @@ def test_processes_are_forked_and_seen_as_if_they_were_started(tmp_path: Path) -
         assert command.wait() == 130
         assert not running(server)
         assert not any(map(running, forked))
-    no_trouble_in_logs(tmp_path / "out")
-
-
-def test_robots_with_a_router_are_one_session_so_that_it_is_not_one_of_many(tmp_path: Path) -> None:
-    """Where the kernel gives every session as much as every other, it would have one share of hundreds."""
-    with drive(tmp_path, "--set", "network.topology=routed") as command:
-        command.wait_until_driving()
-        robots = {os.getsid(command.child(robot, role)) for robot in (1, 2) for role in ("agent", "plant")}
-        assert robots == {os.getsid(server_of(command))}
-        (router,) = [pid for pid, text in children(command.process.pid).items() if "runtime.router" in text]
-        assert robots.isdisjoint({os.getsid(pid) for pid in (command.process.pid, router)})
-        command.process.send_signal(signal.SIGINT)
-        assert command.wait() == 130
     no_trouble_in_logs(tmp_path / "out")
 
 

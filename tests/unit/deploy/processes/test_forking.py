@@ -20,6 +20,7 @@ import pytest
 from deploy.processes import child, fork_server, forking
 from deploy.processes.child import Child, environment
 from deploy.processes.command_line import ROOM
+from deploy.processes.fork_server import ONE_SESSION
 from deploy.processes.forking import UNSEEN, ForkedProcess, ForkServer
 
 PATIENCE_S: Final = 30.0
@@ -119,6 +120,27 @@ def state(pid: int) -> str:
 
 def gone(pid: int) -> bool:
     return state(pid) in "ZX"
+
+
+@pytest.mark.parametrize(("robots", "many"), [(ONE_SESSION, False), (ONE_SESSION + 1, True)])
+def test_very_many_robots_with_a_router_are_one_session(
+    server: ForkServer, tmp_path: Path, robots: int, many: bool
+) -> None:
+    """Where the kernel gives each session as much, their router would have one share of hundreds."""
+    fleet = tmp_path / "fleet.toml"
+    places = ", ".join(f"{{ id = {k}, x_m = {2 * k}, y_m = 0 }}" for k in range(1, robots + 1))
+    fleet.write_text(
+        f"robot = [{places}]\n[fleet]\nname = 'row'\n[formation]\nedges = [[1, 2]]\nsafe_distance_m = 0.3\n"
+        f"offsets = {[[2 * k, 0] for k in range(robots)]}\n"
+    )
+    server.preload(fleet)
+    log = tmp_path / "log"
+    made = start(server, log, "tell")
+    wait_for(lambda: waiting(log))
+    assert server.pid is not None
+    assert os.getsid(made.pid) == (os.getsid(server.pid) if many else made.pid)
+    assert os.getpgid(made.pid) == made.pid
+    made.kill()
 
 
 def test_a_fork_has_nothing_of_the_server(server: ForkServer, tmp_path: Path) -> None:
