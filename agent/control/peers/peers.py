@@ -68,6 +68,7 @@ class Peer:
         trust: 0..1, how far an edge to it is trusted.
         mark: version and tag of the mission that it has acknowledged.
         deaf: whether it says that it does not hear this robot.
+        unheard: how many robots it says that it does not hear.
         knows_ns: of when (own clock) what it knows of this robot is, by what it said last while it did not
             hear it.
         lateness: of its messages, as usual.
@@ -94,7 +95,7 @@ class Peer:
         "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
         "late_max_ns", "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns",
         "off_m", "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns",
-        "stood_until_ns", "time_ns", "token", "trust",
+        "stood_until_ns", "time_ns", "token", "trust", "unheard",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int, next_ns: int) -> None:
@@ -117,7 +118,7 @@ class Peer:
         self.ahead_ns = 0
         self.other_version = ""
         self.received = self.lost = self.delayed = self.duplicated = 0
-        self.far_until_ns = self.hand_next_ns = self.stood_until_ns = 0
+        self.far_until_ns = self.hand_next_ns = self.stood_until_ns = self.unheard = 0
         self.late_max_ns = LATE_MAX_NS
         self.off_m = 0.0
 
@@ -232,7 +233,7 @@ class Peers:
         self.forecast: Final = Forecast(c1, c2, motion, decay, most)
         self._horizon_s, self._bound_m = horizon_s, bound_m
         self._unheard_elsewhere: dict[int, int] = {}
-        self._told = self._most_unheard = 0
+        self._told = 0
         self._began_ns = _NEVER
         self._starts = starts or {}
         self._known = {robot: Peer(robot, period_ns, beacon_ns) for robot in self._starts}
@@ -345,9 +346,8 @@ class Peers:
             peer.mark = beacon.mission_version, beacon.mission_tag
         if time_ns > peer.direct_ns or peer.deaf:
             unheard = beacon.unheard
-            peer.deaf = self._owner in unheard
+            peer.deaf, peer.unheard = self._owner in unheard, len(unheard)
             if unheard:
-                self._most_unheard = max(self._most_unheard, len(unheard))
                 until_ns = now_ns + ELSEWHERE_NS + beacon.next_ms * NS_PER_MS
                 for robot in unheard:
                     self._unheard_elsewhere[robot] = until_ns
@@ -420,8 +420,9 @@ class Peers:
 
     @property
     def rounds_to_tell(self) -> int:
-        """How many beacons of one robot it takes to tell of all that others do not hear."""
-        return -(-self._most_unheard // (ROWS_OF_MANY if self._rest_ns else SILENT_MAX))
+        """How many beacons of one robot it takes to tell of all that others do not hear, as they say now."""
+        most = max((peer.unheard for peer in self._known.values()), default=0)
+        return -(-most // (ROWS_OF_MANY if self._rest_ns else SILENT_MAX))
 
     def silent(self, now_ns: int) -> tuple[Silent, ...]:
         """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where

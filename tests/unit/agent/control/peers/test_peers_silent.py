@@ -154,6 +154,8 @@ def test_of_many_silent_robots_all_are_told_in_turn():
     assert new.rounds_to_tell == 0
     assert new.accept_beacon(beacon(3, T0)._replace(unheard=tuple(robots)), T0 + PERIOD) is None
     assert new.rounds_to_tell == 3
+    assert new.accept_beacon(beacon(3, T0 + S)._replace(unheard=(2,)), T0 + S + PERIOD) is None
+    assert new.rounds_to_tell == 1, "it hears the others by now: of those nobody needs to be told"
 
 
 def test_nobody_is_told_of_before_a_mission_is_near():
