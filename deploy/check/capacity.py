@@ -26,7 +26,7 @@ RECORDED_S: Final = 75e-6
 """Processor time, s, Zenoh's part in it: of an agent for a round of its loop, so much more where it says what
 it says to each of the others, and for a message that it hears; of a plant for a round; of a router for a
 message that it passes on; of `run` for one that it records."""
-FULL: Final = 0.82
+FULL: Final = 0.65
 """So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
 takes more than driving. What is nearly as much slows down at times (`agent.supervision.overload`)."""
 TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
