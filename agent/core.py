@@ -336,7 +336,7 @@ class Agent:
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
         situation = self._situation
-        rests = self._rest_period_ns > 0 and not self._peers.tells(now_ns)
+        rests = self._rest_period_ns > 0 and not self._peers.rows.are_told(now_ns)
         if rests is not self._rests or not self._overload.idle:
             self._keep_pace(now_ns, rests=rests)
         if self._stood_until_ns:

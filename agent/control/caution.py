@@ -14,7 +14,8 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import said_doubt
-from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import Peers
 from agent.formation.reference import Reference
 from agent.messages.types import HandState
 

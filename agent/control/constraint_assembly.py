@@ -18,7 +18,8 @@ from agent.control.detour import LEAVING, Blocker
 from agent.control.gains import gains_of, one_sided
 from agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
 from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import Prediction
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
@@ -174,7 +175,7 @@ class ConstraintAssembly:
         Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops it, as
         hard as need be, but must not push it off.
         """
-        belief = self._peers.belief(peer)
+        belief = self._peers.whereabouts.belief(peer)
         if belief is None:
             return
         own, name = scene.own, peer.name

@@ -20,7 +20,8 @@ from agent.control.constraint_assembly import ConstraintAssembly, Scene
 from agent.control.couplings import COUPLINGS
 from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
 from agent.control.gains import gains_of
-from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
@@ -351,7 +352,7 @@ class Controller:
                 ):
                     return f"its place is taken by {peer.name} (does not follow)"
                 continue
-            belief = self.peers.belief(peer)
+            belief = self.peers.whereabouts.belief(peer)
             if belief is None or hypot(belief.x - x, belief.y - y) > keep + belief.reach:
                 continue
             age = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S

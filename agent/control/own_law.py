@@ -19,7 +19,8 @@ from agent.common.time import NS_PER_S
 from agent.common.wording import printable
 from agent.control.hand import Hand
 from agent.control.law_plugin import Law, Moment, Neighbour, Reference
-from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import Peers
 from agent.fleet.model import Fleet
 from agent.fleet.sections import load_law
 from agent.formation.reference import Edge

@@ -16,7 +16,8 @@ from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_RATE, Stretch
 from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import Peers
 from agent.control.safety_distances import (
     acceleration_max,
     avoidance_distance,
@@ -95,7 +96,7 @@ class Proximity:
             # Most of a large fleet is too far away to come near until a while from now.
             if peer.far_until_ns > now_ns or peer.robot in neighbours:
                 continue
-            if self.is_large and not (peer.is_heard(now_ns) or self._peers.is_worked_out(peer)):
+            if self.is_large and not (peer.is_heard(now_ns) or self._peers.whereabouts.is_worked_out(peer)):
                 silent.append(peer)
             elif self._is_near(peer, now_ns, here):
                 near.append(peer)
@@ -154,7 +155,7 @@ class Proximity:
                 if rest_s > 0.0:
                     peer.far_until_ns = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
                     return False
-            belief = self._peers.belief(peer)
+            belief = self._peers.whereabouts.belief(peer)
             if belief is None:
                 return False
             dx, dy, reach = belief.x - here.x, belief.y - here.y, belief.reach

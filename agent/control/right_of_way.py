@@ -30,7 +30,8 @@ from agent.common.time import NS_PER_S
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX, stands_after
 from agent.control.peers.lanes import Lane, Run, offset
-from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import Peers
 from agent.control.safety_distances import barrier_rate, speed_max
 from agent.control.safety_filter import HalfPlane, keep_clear
 from agent.fleet.model import Fleet
@@ -317,7 +318,7 @@ class RightOfWay:
     def _stands_on(self, own: Lane, peer: Peer) -> bool:
         """Whether a robot without the right of way, wherever it may be, is on the lane of this one, which has
         it: there it stands, and is a body to be gone round."""
-        belief = self._peers.belief(peer)
+        belief = self._peers.whereabouts.belief(peer)
         if peer.direct_ns < 0 or belief is None:
             return False
         surely = 2.0 * self._inside - self._apart  # though the two may mean lanes that differ a little
@@ -335,7 +336,7 @@ class RightOfWay:
         made = 0
         for peer in movers:
             then = self._then[peer.robot]
-            message = then.message or self._peers.last_of(peer)
+            message = then.message or self._peers.whereabouts.last_of(peer)
             known = self._ways.get(peer.robot)
             if known is not None and known.message is message and known.then is then:
                 continue

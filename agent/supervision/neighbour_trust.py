@@ -14,7 +14,8 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Hand
-from agent.control.peers.peers import TRUST_GAINED_S, Peer
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import TRUST_GAINED_S
 from agent.fleet.model import Fleet
 from agent.supervision.overload import Overload
 from agent.supervision.state_machine import DRIVING, State

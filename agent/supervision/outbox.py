@@ -138,7 +138,7 @@ class Outbox:
         if not self._schedule.is_turn(now_ns):
             return []
         if self._schedule.is_seldom:
-            self._schedule.minds = None if self._peers.tells(now_ns) else self._peers.listened
+            self._schedule.minds = None if self._peers.rows.are_told(now_ns) else self._peers.listened
             self._schedule.level = self.others_overload
         message = self._schedule.timed(self._beacon(now_ns, here, doubt, following=following))
         return [] if message is None else [(self._key_beacon, encode(message))]
@@ -158,7 +158,7 @@ class Outbox:
             doubt,
             *self._missions.mark,
             *self._latch.mark,
-            self._peers.silent(now_ns),
+            self._peers.rows.at(now_ns, was_there=self._peers.was_there),
             self._peers.given_up(now_ns),
             overload=self.overload,
             stood_ms=self.stood_ms,

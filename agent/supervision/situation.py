@@ -219,7 +219,7 @@ class Situation:
         if self._alone:
             return ""
         peers = self._controller.peers
-        told_ns = max(0, peers.rounds_to_tell - 1) * self._beacon_ns
+        told_ns = max(0, peers.rows.rounds_to_tell - 1) * self._beacon_ns
         if now_ns < (self._listened_ns or 0) + told_ns:
             return "hears who is near"
         unknown = ", ".join(f"robot {robot}" for robot in peers.unknown)

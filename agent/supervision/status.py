@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Any, Final
 
 from agent.common.time import NS_PER_S
-from agent.control.peers.peers import Peer
+from agent.control.peers.peer import Peer
 from agent.links.radio import Radio
 from agent.messages.types import NeighbourStatus, Status, Total
 from agent.supervision.overload import Overload

@@ -16,164 +16,26 @@ from typing import Final
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.beliefs import (
-    DOUBT_AFTER_S,
-    DOUBT_MAX,
-    DOUBT_RATE,
-    Belief,
-    stands_after,
     stood_between,
 )
-from agent.control.peers.clock_offset import ClockOffset
 from agent.control.peers.forecast import Forecast, Motion
 from agent.control.peers.lateness import (
     IN_TIME_NS,
     LATE_MAX_NS,
     OUTAGE_NS,
     STOOD_KEPT_NS,
-    UNSURE_NS,
-    Lateness,
     missed_at_least,
 )
+from agent.control.peers.peer import NEVER, Peer
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
+from agent.control.peers.silent_rows import NEVER_CAME_NS, SilentRows
+from agent.control.peers.whereabouts import Whereabouts
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, Beacon, HandState, Removed
 
-ELSEWHERE_NS: Final = NS_PER_S
-"""For so long a robot that is heard here is told of to one that has said that it does not hear it."""
 TRUST_LOST_S: Final = 0.5
 """Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
 TRUST_GAINED_S: Final = 1.5
 """Trust rises from 0 to 1 within this time: the edge is back without a bump."""
-ROWS_OF_MANY: Final = 2
-"""Of so many silent robots it is worked out for one beacon where they may be, in a large fleet."""
-TELLS_NS: Final = 2 * NS_PER_S
-"""So long before the epoch of a mission robots begin to tell of those that they do not hear: nobody drives
-before that, and while a large fleet starts most are not heard yet."""
-_NEVER: Final = -1
-NEVER_CAME_NS: Final = 0
-"""Stamp of a row about a robot that was never heard."""
-
-
-class Peer:
-    """One other robot. `Peers` writes it, others read.
-
-    Attributes:
-        name: ``robot ID``, as texts have it.
-        message: its latest, a hand state, or a beacon in the form of one; None when nothing has come.
-        hand_ns, beacon_ns: stamps of its latest hand state and beacon, -1 while none has come.
-        next_ns: within so long the next beacon comes after that one, as it says.
-        listened: whether its hand states are listened to, so that beacons alone are not enough.
-        clock: what is known of its clock.
-        token: False while its agent's process is seen to be gone.
-        here: likewise, but True again only when it has been heard again.
-        trust: 0..1, how far an edge to it is trusted.
-        mark: version and tag of the mission that it has acknowledged.
-        deaf: whether it says that it does not hear this robot.
-        unheard: how many robots it says that it does not hear.
-        knows_ns: of when (own clock) what it knows of this robot is, by what it said last while it did not
-            hear it.
-        lateness: of its messages, as usual.
-        direct_ns: stamp of the latest that has come from itself; `time_ns`: of what is known of it, which
-            others may have told.
-        belief: where it may be as others say, who have heard it last.
-        hand_next_ns: so much after its latest hand state the next is stamped at most, 0 for the period.
-        slowly, slowly_until_ns: how fast it may go as seen from its place, m/s, and until when.
-        never_came: nobody has ever heard it, says who was there from the start: it began where it starts.
-        gone_ns: what it has said until then counts no more: its body has been carried off.
-        copy: its copy of the shared multiplier that has come since the last `Peers.take_copy`, if any.
-        degree: constraints that act on it.
-        ahead_ns: how far its last message was stamped ahead of the own clock if it was refused as
-            ``future``, else 0.
-        other_version: what its messages and this program speak, once one was refused for that; else "".
-        received, lost, delayed, duplicated: hand states since the start.
-        off_m: how far it may be meanwhile from where it is predicted, m, (E1).
-        far_until_ns: it cannot come near before then, as who looks for that has found; 0 once it is
-            somewhere else than on its way.
-    """
-
-    __slots__ = (
-        "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
-        "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
-        "late_max_ns", "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns",
-        "off_m", "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns",
-        "stood_until_ns", "time_ns", "token", "trust", "unheard",
-    )  # fmt: skip
-
-    def __init__(self, robot: int, period_ns: int, next_ns: int) -> None:
-        self.robot, self.name = robot, f"robot {robot}"
-        self.next_ns, self.listened = next_ns, False
-        self.message: HandState | None = None
-        self.early: HandState | None = None
-        self.time_ns = self.hand_ns = self.beacon_ns = self.direct_ns = _NEVER
-        self.sequence = self.gone_ns = self.knows_ns = _NEVER
-        self.belief: Belief | None = None
-        self.deaf = self.never_came = False
-        self.mark = 0, 0
-        self.lateness = Lateness()
-        self.clock = ClockOffset(period_ns)
-        self.here = self.token = True
-        self.trust = 0.0
-        self.slowly, self.slowly_until_ns = inf, 0
-        self.copy: float | None = None
-        self.degree = 0
-        self.ahead_ns = 0
-        self.other_version = ""
-        self.received = self.lost = self.delayed = self.duplicated = 0
-        self.far_until_ns = self.hand_next_ns = self.stood_until_ns = self.unheard = 0
-        self.late_max_ns = LATE_MAX_NS
-        self.off_m = 0.0
-
-    def age_ns(self, now_ns: int) -> int | None:
-        """Age of its hand state by its own clock, None when none has come.
-
-        Below 0 where its clock is further ahead than is proven.
-        """
-        return None if self.hand_ns == _NEVER else now_ns + self.clock.used_ns - self.hand_ns
-
-    def hand_late_ns(self, now_ns: int) -> int | None:
-        """As `late_ns`, of its hand states; None when none has come."""
-        if self.hand_ns == _NEVER:
-            return None
-        if self.hand_next_ns:
-            return self.promised_late_ns(now_ns)
-        return now_ns + self.clock.used_ns - self.hand_ns - self.lateness.forgiven_ns
-
-    def promised_late_ns(self, now_ns: int) -> int:
-        """As `hand_late_ns`, of one that promises the next one: for so long it has been overdue, or nothing
-        at all has come."""
-        lateness = self.lateness
-        by_ns = self.hand_ns + self.hand_next_ns + lateness.missed_ns
-        return now_ns + self.clock.used_ns - min(by_ns, self.direct_ns) - lateness.forgiven_ns
-
-    @property
-    def is_gone(self) -> bool:
-        """Whether its body has been carried off since it was heard last."""
-        return self.gone_ns >= self.time_ns and self.gone_ns != _NEVER
-
-    def late_ns(self, now_ns: int) -> int:
-        """How long what is known of it has been overdue and a little more: its age, less `forgiven_ns`."""
-        return now_ns + self.clock.used_ns - self.time_ns - self.lateness.forgiven_ns
-
-    def direct_late_ns(self, now_ns: int) -> int:
-        """As `late_ns`, of what has come from itself."""
-        return now_ns + self.clock.used_ns - self.direct_ns - self.lateness.forgiven_ns
-
-    def has_told(self, now_ns: int, within_ns: int) -> bool:
-        """Whether a beacon of it has come of late, which says whom it hears and by which mission it goes; one
-        that never sent any has told as much as it will."""
-        late_ns = now_ns + self.clock.used_ns - self.beacon_ns - self.lateness.forgiven_ns
-        return late_ns <= within_ns or self.beacon_ns == _NEVER
-
-    def is_heard(self, now_ns: int) -> bool:
-        """Whether what is known of it is as new as usual, so that it can be predicted."""
-        if not self.here or self.message is None:
-            return False
-        return now_ns + self.clock.used_ns - self.time_ns - self.lateness.forgiven_ns < UNSURE_NS
-
-    def doubt(self, now_ns: int) -> float:
-        """Its position uncertainty, m: as it says itself, and by the age of that."""
-        said = self.off_m if self.message is None else self.off_m + min(DOUBT_MAX, self.message.doubt)
-        age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
-        return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
 
 
 class Peers:
@@ -200,6 +62,7 @@ class Peers:
         missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
+        whereabouts: where those may be that are not heard; rows: what others are told of them.
         listened: the robots whose hand states are listened to.
     """
 
@@ -232,18 +95,17 @@ class Peers:
         self.predicts: Final = predict
         self.forecast: Final = Forecast(c1, c2, motion, decay, most)
         self._horizon_s, self._bound_m = horizon_s, bound_m
-        self._unheard_elsewhere: dict[int, int] = {}
-        self._told = 0
-        self._began_ns = _NEVER
-        self._starts = starts or {}
-        self._known = {robot: Peer(robot, period_ns, beacon_ns) for robot in self._starts}
-        self._beliefs: dict[int, tuple[HandState, Belief]] = {}
-        self._strangers: dict[int, HandState] = {}
-        self._at_starts: dict[int, Belief] = {}
+        self._began_ns = NEVER
+        starts = starts or {}
+        self._known = {robot: Peer(robot, period_ns, beacon_ns) for robot in starts}
+        self.whereabouts: Final = Whereabouts(self.forecast, starts, horizon_s)
+        self.rows: Final = SilentRows(
+            self._known, self.whereabouts, self.forecast, starts, horizon_s, is_large=self._rest_ns > 0
+        )
         self._removed: dict[int, int] = {}
         self._early: list[Peer] = []
         self._early_beacons: list[tuple[Peer, Beacon]] = []
-        self._tick_ns = _NEVER
+        self._tick_ns = NEVER
         self._heard: tuple[tuple[int, int], ...] | None = ()
 
     def get(self, robot: int) -> Peer:
@@ -271,7 +133,7 @@ class Peers:
     def begin(self, now_ns: int) -> None:
         """Begins the tick at `now_ns`, if it has not begun: takes what came too early for the last one."""
         if now_ns > self._tick_ns:
-            if self._tick_ns == _NEVER:
+            if self._tick_ns == NEVER:
                 self._began_ns = now_ns
             self._tick_ns = now_ns
             if self._early_beacons:
@@ -347,10 +209,7 @@ class Peers:
         if time_ns > peer.direct_ns or peer.deaf:
             unheard = beacon.unheard
             peer.deaf, peer.unheard = self._owner in unheard, len(unheard)
-            if unheard:
-                until_ns = now_ns + ELSEWHERE_NS + beacon.next_ms * NS_PER_MS
-                for robot in unheard:
-                    self._unheard_elsewhere[robot] = until_ns
+            self.rows.lacks(unheard, now_ns + beacon.next_ms * NS_PER_MS)
         if time_ns <= peer.time_ns:
             return None  # a hand state was quicker
         if time_ns - peer.clock.used_ns < now_ns:
@@ -411,71 +270,7 @@ class Peers:
     @property
     def was_there(self) -> bool:
         """Whether it has listened since the drive began."""
-        return _NEVER < self._began_ns <= self.forecast.epoch_ns
-
-    def tells(self, now_ns: int) -> bool:
-        """Whether a mission is near, or has begun, so that others need to know who is not heard here."""
-        epoch_ns = self.forecast.epoch_ns
-        return epoch_ns > 0 and now_ns >= epoch_ns - TELLS_NS
-
-    @property
-    def rounds_to_tell(self) -> int:
-        """How many beacons of one robot it takes to tell of all that others do not hear, as they say now."""
-        most = max((peer.unheard for peer in self._known.values()), default=0)
-        return -(-most // (ROWS_OF_MANY if self._rest_ns else SILENT_MAX))
-
-    def silent(self, now_ns: int) -> tuple[Silent, ...]:
-        """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
-        they are too many for one, or for a tick in which to work out where all of them may be. Nothing while
-        no mission is near."""
-        if not self.tells(now_ns):
-            return ()
-        elsewhere, epoch_ns = self._unheard_elsewhere, self.forecast.epoch_ns
-        begun = now_ns > epoch_ns
-        told = []
-        for peer in self._known.values():
-            if peer.is_gone:
-                continue
-            if peer.message is None:
-                if begun and peer.robot in self._starts and (peer.never_came or self.was_there):
-                    told.append(peer)
-            elif not peer.is_heard(now_ns) or elsewhere.get(peer.robot, 0) > now_ns:
-                told.append(peer)
-        if len(told) > (ROWS_OF_MANY if self._rest_ns else SILENT_MAX):
-            first = self._told % len(told)
-            told = (told[first:] + told[:first])[:SILENT_MAX]
-            if self._rest_ns:
-                told = self._in_time(told, now_ns)
-            self._told = first + len(told)
-        return tuple(self._row(peer, now_ns) for peer in told)
-
-    def _in_time(self, told: list[Peer], now_ns: int) -> list[Peer]:
-        """The first of these, so many that not too much is to be worked out for them."""
-        most = ROWS_OF_MANY
-        for count, peer in enumerate(told):
-            if not (peer.is_heard(now_ns) or self._heard_lately(peer, now_ns) or self.is_worked_out(peer)):
-                if not most:
-                    return told[:count]
-                most -= 1
-        return told
-
-    def _heard_lately(self, peer: Peer, now_ns: int) -> bool:
-        """Whether a robot was heard so lately that everybody works out himself where it may be."""
-        if not (self._rest_ns and peer.message is not None and peer.message.following):
-            return False
-        return now_ns + peer.clock.used_ns - peer.time_ns < self._horizon_s * NS_PER_S
-
-    def _row(self, peer: Peer, now_ns: int) -> Silent:
-        """What to tell of a robot."""
-        message = peer.message
-        if message is None:
-            start = self._starts[peer.robot]
-            return Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0)
-        time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
-        belief = None if self._heard_lately(peer, now_ns) or peer.is_heard(now_ns) else self.belief(peer)
-        here = message.x, message.y
-        way = (*here, message.doubt) if belief is None else belief.straight(*here)
-        return Silent(peer.robot, time_ns, message.following, *message.place, *way)
+        return NEVER < self._began_ns <= self.forecast.epoch_ns
 
     def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
         time_ns = beacon.time_ns
@@ -491,7 +286,7 @@ class Peers:
                 self._expect_beacon(peer)
         elif since_ns > OUTAGE_NS:  # else its hand states say how late it is
             age_ns = now_ns + peer.clock.used_ns - time_ns
-            gap_ns = None if peer.direct_ns == _NEVER else time_ns - peer.direct_ns
+            gap_ns = None if peer.direct_ns == NEVER else time_ns - peer.direct_ns
             self._note(peer, beacon, now_ns, age_ns, gap_ns, expected_ns)
             if peer.next_ns != expected_ns or (peer.listened and self.is_seldom(peer)):
                 self._expect_beacon(peer)
@@ -543,7 +338,7 @@ class Peers:
         # The message before it said how much later it would come.
         time_ns, period_ns = message.time_ns, peer.hand_next_ns or self._round_ns
         gap_ns = None
-        if peer.sequence != _NEVER:
+        if peer.sequence != NEVER:
             gap_ns = time_ns - peer.hand_ns
             # No more can be missing than there was time for, whatever the numbers say: a mission
             # sets them to its rounds, and a sender that starts again begins at 0. Rounds without a message
@@ -633,7 +428,7 @@ class Peers:
     def remove(self, removed: Iterable[Removed]) -> None:
         """Takes which bodies have been carried off, and when: each row once, for missions repeat them."""
         for robot, time_ns in removed:
-            if robot != self._owner and time_ns > self._removed.get(robot, _NEVER):
+            if robot != self._owner and time_ns > self._removed.get(robot, NEVER):
                 self._removed[robot] = time_ns
                 peer = self.get(robot)
                 peer.gone_ns = max(peer.gone_ns, time_ns)
@@ -661,7 +456,7 @@ class Peers:
             was, peer.listened = peer.listened, peer.robot in robots
             if not peer.listened or was:
                 continue
-            peer.sequence = _NEVER  # some that were still on their way may have come since it was ignored
+            peer.sequence = NEVER  # some that were still on their way may have come since it was ignored
             if self.is_seldom(peer):
                 # What is known of it may be old by the interval of its beacons; what comes now is not.
                 age_ns = max(0, now_ns + peer.clock.used_ns - peer.time_ns) + peer.lateness.delay_ns
@@ -672,7 +467,7 @@ class Peers:
         which are rarer, have to do."""
         peer = self._known.get(robot)
         if peer is not None:
-            peer.sequence, peer.hand_next_ns, peer.off_m = _NEVER, 0, 0.0
+            peer.sequence, peer.hand_next_ns, peer.off_m = NEVER, 0, 0.0
             peer.listened = False
             if peer.lateness.heeds or self.is_seldom(peer):
                 self._expect_beacon(peer)
@@ -721,44 +516,6 @@ class Peers:
             slowly = peer.slowly if time_ns < peer.slowly_until_ns else inf
             found = self.forecast.following(message, then_ns, slowly=slowly)
         return coasting(message, max(0, then_ns - message.time_ns) * 1e-9) if found is None else found
-
-    def belief(self, peer: Peer) -> Belief | None:
-        """Where a robot may be that is not heard; None for one whose body has been carried off, or of which
-        nothing is known."""
-        message, robot = peer.message, peer.robot
-        if peer.is_gone:
-            return None
-        if message is None:
-            unheard = self._at_starts.get(robot)
-            if unheard is None and (start := self._starts.get(robot)) is not None:
-                unheard = self._at_starts[robot] = stood_between(*start, *start, 0.0)
-            return unheard
-        if peer.belief is not None:
-            return peer.belief
-        known = self._beliefs.get(robot)
-        if known is None or known[0] is not message:
-            known = self._beliefs[robot] = (
-                message,
-                self.forecast.stood(
-                    message, stands_after(self._horizon_s, peer.lateness.forgiven_ns / NS_PER_S)
-                ),
-            )
-        return known[1]
-
-    def is_worked_out(self, peer: Peer) -> bool:
-        """Whether `belief` knows already where a robot may be."""
-        known = self._beliefs.get(peer.robot)
-        if peer.message is None or peer.belief is not None or peer.is_gone:
-            return True
-        return known is not None and known[0] is peer.message
-
-    def last_of(self, peer: Peer) -> HandState:
-        """What is known last of a robot; of one that was never heard, that it stands where it starts."""
-        if peer.message is not None:
-            return peer.message
-        at = *self._starts[peer.robot], 0.0, 0.0
-        stranger = HandState.placed(peer.robot, 0, 0, True, 0, at)
-        return self._strangers.setdefault(peer.robot, stranger)
 
 
 def _none_missed(since_ns: int) -> int:

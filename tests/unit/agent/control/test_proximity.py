@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from agent.control.controller import LOOK_PERIOD_NS
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX, Belief
-from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.peer import Peer
+from agent.control.peers.peers import Peers
 from agent.control.proximity import AHEAD_S, STAY_M, Proximity
 from agent.control.safety_distances import acceleration_max, speed_max
 from agent.fleet.loading import parse_fleet

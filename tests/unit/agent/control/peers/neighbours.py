@@ -6,12 +6,10 @@ from collections.abc import Callable
 from math import cos, sin
 from typing import Any
 
-from agent.control.peers.peers import (
-    Peers,
-)
+from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import Prediction
 from agent.formation.trajectory import Sample
-from agent.messages.types import Beacon, HandState
+from agent.messages.types import Beacon, HandState, Silent
 
 PERIOD = 20_000_000
 S = 1_000_000_000
@@ -87,3 +85,8 @@ def ages(known: Peers, now_ns: int) -> list[int | None]:
 
 def total(known: Peers, name: str) -> int:
     return sum(getattr(peer, name) for peer in known.known)
+
+
+def rows(known: Peers, now_ns: int) -> tuple[Silent, ...]:
+    """What it tells of the silent."""
+    return known.rows.at(now_ns, was_there=known.was_there)

@@ -8,15 +8,10 @@ import numpy as np
 import pytest
 
 from agent.control.law import acting_error
-from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
 from agent.control.peers.lateness import LATE_MAX_NS, STOOD_KEPT_NS, UNSURE_NS
-from agent.control.peers.peers import (
-    TRUST_GAINED_S,
-    TRUST_LOST_S,
-    Peers,
-)
+from agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S, Peers
 from agent.control.peers.prediction import as_it_came, coasting, following, transition
-from agent.messages.types import HandState
+from agent.messages.types import HandState, Removed, Silent
 from tests.unit.agent.control.peers.neighbours import (
     C1,
     C2,
@@ -31,6 +26,7 @@ from tests.unit.agent.control.peers.neighbours import (
     message,
     peers,
     predicted,
+    rows,
     standing,
     total,
 )
@@ -137,16 +133,6 @@ def test_trust_goes_fast_and_comes_back_slowly():
     lost = [known.update_trust(peer, False, period_s) for _ in range(50)]
     assert lost[0] == pytest.approx(1.0 - period_s / TRUST_LOST_S)
     assert lost[round(TRUST_LOST_S / period_s)] == 0.0
-
-
-def test_doubt_grows_with_silence_and_has_an_end():
-    known = heard(peers(), message(2, 0, T0))
-    peer = known.get(2)
-    assert [peer.doubt(T0 + at) for at in (0, PERIOD, round(DOUBT_AFTER_S * S))] == [0.0] * 3
-    assert peer.doubt(T0 + S) == pytest.approx(DOUBT_RATE * (1.0 - DOUBT_AFTER_S))
-    assert peer.doubt(T0 + 100 * S) == DOUBT_MAX
-    assert known.accept_beacon(beacon(2, T0 + S), T0 + S + PERIOD) is None  # a beacon ends it, too
-    assert peer.doubt(T0 + S + PERIOD) == 0.0
 
 
 # ---------------------------------------------------------------------- late is not lost
@@ -352,7 +338,7 @@ def test_within_what_a_robot_said_it_is_not_silent():
     due = seldom(known, T0)
     peer = known.get(2)
     assert peer.is_heard(due)
-    assert known.silent(due) == ()
+    assert rows(known, due) == ()
     assert not peer.is_heard(due + S)
     due = seldom(known, due, 400)
     assert not peer.is_heard(due + S // 2), "it has something to tell: the next comes soon"
@@ -427,11 +413,11 @@ def test_whom_another_does_not_hear_he_is_told_of_until_he_speaks_again():
     told = beacon(5, T0)._replace(next_ms=2000, unheard=(2,))
     assert known.accept_beacon(told, T0 + PERIOD) is None
     seldom(known, T0 + S)
-    assert [row.robot for row in known.silent(T0 + 2 * S)] == [2], "heard here, and told of to robot 5"
+    assert [row.robot for row in rows(known, T0 + 2 * S)] == [2], "heard here, and told of to robot 5"
     seldom(known, T0 + 2 * S, robot=5)
-    assert [row.robot for row in known.silent(T0 + 29 * S // 10)] == [2]
+    assert [row.robot for row in rows(known, T0 + 29 * S // 10)] == [2]
     seldom(known, T0 + 3 * S)
-    assert known.silent(T0 + 31 * S // 10) == ()
+    assert rows(known, T0 + 31 * S // 10) == ()
 
 
 # ---------------------------------------------------------------------- promises
@@ -516,14 +502,6 @@ def test_a_hand_state_that_a_beacon_has_overtaken_still_brings_its_forces():
     assert found.constraint[0] == pytest.approx(0.4 * np.exp(-0.9 * 0.1))
 
 
-def test_how_far_it_may_be_off_meanwhile_is_doubt():
-    known = peers(bound_m=0.005)
-    heard(known, promising(T0, 50))
-    assert known.get(2).doubt(T0) == 0.005
-    heard(known, message(2, 1, T0 + PERIOD), now_ns=T0 + 2 * PERIOD)
-    assert known.get(2).doubt(T0 + PERIOD) == 0.0
-
-
 def test_whose_hand_states_are_not_listened_to_any_more_promises_nothing():
     known = peers(bound_m=0.005)
     heard(known, promising(T0, 50))
@@ -571,3 +549,48 @@ def test_who_may_have_spoken_while_the_own_process_stood_is_not_given_up() -> No
     assert set(known.given_up(later)) >= {2, 3}
     known.missed_ns = lambda since_ns: S + PERIOD
     assert set(known.given_up(later)) == set()
+
+
+# ---------------------------------------------------------------------- given up, carried off
+
+
+def test_a_robot_is_given_up_when_nothing_has_come_from_itself_for_long():
+    known = peers(horizon_s=1.0, starts={2: (0.0, 0.0), 4: (1.0, 0.0)})
+    known.begin(T0)
+    heard(known, message(2, 5, T0 + S), now_ns=T0 + S + PERIOD)
+    assert known.given_up(T0 + S) == ()
+    assert known.given_up(T0 + S + 2 * PERIOD) == (4,)  # never heard since the start
+    assert known.given_up(T0 + 3 * S) == (2, 4)
+
+
+def test_a_body_that_was_carried_off_is_nowhere_until_it_is_heard_again():
+    known = heard(peers(starts={4: (1.0, 0.0)}), message(2, 5, T0))
+    known.remove([Removed(2, T0 + S), Removed(4, T0), Removed(1, T0)])
+    for robot in (2, 4):
+        assert known.get(robot).is_gone
+        assert known.whereabouts.belief(known.get(robot)) is None
+    assert rows(known, T0 + 10 * S) == ()
+    row = Silent(2, T0 + S // 2, True, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0)  # of one who has not heard of it
+    assert known.accept_beacon(beacon(3, T0 + 10 * S)._replace(silent=(row,)), T0 + 11 * S) is None
+    assert known.get(2).is_gone
+    heard(known, message(2, 6, T0 + 2 * S), now_ns=T0 + 2 * S + PERIOD)
+    assert not known.get(2).is_gone
+    assert known.whereabouts.belief(known.get(2)) is not None
+    known.remove([Removed(2, T0 + 3 * S)])  # a second time
+    assert known.get(2).is_gone
+
+
+@pytest.mark.parametrize("by", ["hand state", "beacon"])
+def test_who_is_heard_is_there_though_its_clock_be_behind_the_operators(by: str):
+    """Later missions say again what the first one said: that takes nobody away a second time."""
+    known = heard(peers(), message(2, 5, T0))
+    removed = [Removed(2, T0 + 60 * S)]
+    known.remove(removed)
+    assert known.get(2).is_gone
+    if by == "beacon":
+        assert known.accept_beacon(beacon(2, T0 + S), T0 + S + PERIOD) is None
+    else:
+        heard(known, message(2, 6, T0 + S), now_ns=T0 + S + PERIOD)
+    assert not known.get(2).is_gone
+    known.remove(removed)
+    assert not known.get(2).is_gone

@@ -1,0 +1,134 @@
+"""What a robot's beacons tell of robots that it does not hear, or that others do not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from agent.common.quantities import Vector
+from agent.common.time import NS_PER_S
+from agent.control.peers.forecast import Forecast
+from agent.control.peers.peer import Peer
+from agent.control.peers.whereabouts import Whereabouts
+from agent.messages.types import SILENT_MAX, Silent
+
+ELSEWHERE_NS: Final = NS_PER_S
+"""For so long a robot that is heard here is told of to one that has said that it does not hear it."""
+ROWS_OF_MANY: Final = 2
+"""Of so many silent robots it is worked out for one beacon where they may be, in a large fleet."""
+TELLS_NS: Final = 2 * NS_PER_S
+"""So long before the epoch of a mission robots begin to tell of those that they do not hear: nobody drives
+before that, and while a large fleet starts most are not heard yet."""
+NEVER_CAME_NS: Final = 0
+"""Stamp of a row about a robot that was never heard."""
+
+
+class SilentRows:
+    """Makes the rows.
+
+    Args:
+        known: all robots that something is known of, as it grows.
+        whereabouts: where those may be that are not heard.
+        forecast: how all of them move, and since when.
+        starts: where the hands of all others are until they are heard, m, W.
+        horizon_s: a robot that hears nobody for so long stands.
+        is_large: whether the fleet is so large that rows wait for their turn.
+    """
+
+    def __init__(
+        self,
+        known: Mapping[int, Peer],
+        whereabouts: Whereabouts,
+        forecast: Forecast,
+        starts: Mapping[int, Vector],
+        horizon_s: float,
+        *,
+        is_large: bool,
+    ) -> None:
+        self._known, self._whereabouts, self._forecast, self._starts = known, whereabouts, forecast, starts
+        self._horizon_ns, self._is_large = horizon_s * NS_PER_S, is_large
+        self._elsewhere: dict[int, int] = {}
+        self._told = 0
+
+    def are_told(self, now_ns: int) -> bool:
+        """Whether a mission is near, or has begun, so that others need to know who is not heard here."""
+        epoch_ns = self._forecast.epoch_ns
+        return epoch_ns > 0 and now_ns >= epoch_ns - TELLS_NS
+
+    @property
+    def rounds_to_tell(self) -> int:
+        """How many beacons of one robot it takes to tell of all that others do not hear, as they say now."""
+        most = max((peer.unheard for peer in self._known.values()), default=0)
+        return -(-most // (ROWS_OF_MANY if self._is_large else SILENT_MAX))
+
+    def lacks(self, robots: Sequence[int], now_ns: int) -> None:
+        """Takes that somebody does not hear these robots, and says no more until `now_ns`."""
+        until_ns = now_ns + ELSEWHERE_NS
+        for robot in robots:
+            self._elsewhere[robot] = until_ns
+
+    def at(self, now_ns: int, *, was_there: bool) -> tuple[Silent, ...]:
+        """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
+        they are too many for one, or for a tick in which to work out where all of them may be. Nothing while
+        no mission is near.
+
+        Args:
+            was_there: whether the own robot has listened since the drive began, so that who never came to it
+                never came.
+        """
+        if not self.are_told(now_ns):
+            return ()
+        elsewhere, epoch_ns = self._elsewhere, self._forecast.epoch_ns
+        begun = now_ns > epoch_ns
+        told: list[Peer] = []
+        for peer in self._known.values():
+            if peer.is_gone:
+                continue
+            if peer.message is None:
+                if begun and peer.robot in self._starts and (peer.never_came or was_there):
+                    told.append(peer)
+            elif not peer.is_heard(now_ns) or elsewhere.get(peer.robot, 0) > now_ns:
+                told.append(peer)
+        if len(told) > (ROWS_OF_MANY if self._is_large else SILENT_MAX):
+            first = self._told % len(told)
+            told = (told[first:] + told[:first])[:SILENT_MAX]
+            if self._is_large:
+                told = self._in_time(told, now_ns)
+            self._told = first + len(told)
+        return tuple(self._row(peer, now_ns) for peer in told)
+
+    def _in_time(self, told: list[Peer], now_ns: int) -> list[Peer]:
+        """The first of these, so many that not too much is to be worked out for them."""
+        most = ROWS_OF_MANY
+        for count, peer in enumerate(told):
+            if not (
+                peer.is_heard(now_ns)
+                or self._heard_lately(peer, now_ns)
+                or self._whereabouts.is_worked_out(peer)
+            ):
+                if not most:
+                    return told[:count]
+                most -= 1
+        return told
+
+    def _heard_lately(self, peer: Peer, now_ns: int) -> bool:
+        """Whether a robot was heard so lately that everybody works out himself where it may be."""
+        if not (self._is_large and peer.message is not None and peer.message.following):
+            return False
+        return now_ns + peer.clock.used_ns - peer.time_ns < self._horizon_ns
+
+    def _row(self, peer: Peer, now_ns: int) -> Silent:
+        """What to tell of a robot."""
+        message = peer.message
+        if message is None:
+            start = self._starts[peer.robot]
+            return Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0)
+        time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
+        belief = (
+            None
+            if self._heard_lately(peer, now_ns) or peer.is_heard(now_ns)
+            else self._whereabouts.belief(peer)
+        )
+        here = message.x, message.y
+        way = (*here, message.doubt) if belief is None else belief.straight(*here)
+        return Silent(peer.robot, time_ns, message.following, *message.place, *way)

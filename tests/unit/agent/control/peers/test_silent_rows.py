@@ -1,0 +1,120 @@
+"""What others tell of those who are not heard."""
+
+from __future__ import annotations
+
+from agent.control.peers.peers import Peers
+from agent.control.peers.silent_rows import NEVER_CAME_NS, TELLS_NS
+from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
+from tests.unit.agent.control.peers.neighbours import (
+    PERIOD,
+    T0,
+    S,
+    beacon,
+    heard,
+    message,
+    peers,
+    predicted,
+    rows,
+)
+
+
+def told(known: Peers, now_ns: int, sender: int = 3) -> Beacon:
+    """What robot `sender`, who knows what `known` does, says of the silent."""
+    unheard = known.given_up(now_ns)
+    return beacon(sender, now_ns)._replace(silent=rows(known, now_ns), unheard=unheard)
+
+
+def test_who_is_not_heard_is_told_of_for_ever_with_the_way_that_it_may_stand_on():
+    for wait in (S, 3600 * S):
+        knows = heard(peers(horizon_s=0.5), message(2, 5, T0, position=(1.0, 2.0), velocity=(0.5, 0.0)))
+        assert rows(knows, T0 + 2 * PERIOD) == ()
+        new = peers(starts={2: (0.0, 0.0)})
+        (row,) = rows(knows, T0 + wait)
+        assert row[:7] == (2, T0, True, 1.0, 2.0, 0.5, 0.0)
+        assert new.accept_beacon(told(knows, T0 + wait), T0 + wait + PERIOD) is None
+        assert new.get(2).age_ns(T0 + S) is None  # an edge needs hand states
+        assert new.get(2).time_ns == T0
+        (there,) = new.whereabouts.belief(new.get(2)).stretches
+        for each in knows.whereabouts.belief(knows.get(2)).stretches:
+            assert there.distance(each.x, each.y) + each.radius <= there.radius + 1e-9
+        assert rows(new, T0 + wait + S)[0][:7] == row[:7]  # and told on
+
+
+def test_one_deaf_to_a_robot_is_told_of_it_by_those_who_hear_it():
+    hears = heard(peers(), message(2, 5, T0, position=(1.0, 2.0), velocity=(0.5, 0.0)))
+    assert rows(hears, T0 + PERIOD) == ()
+    deaf = beacon(3, T0 + PERIOD)._replace(unheard=(2, 1))
+    assert hears.accept_beacon(deaf, T0 + 2 * PERIOD) is None
+    (row,) = rows(hears, T0 + 2 * PERIOD)
+    assert row == (2, T0, True, 1.0, 2.0, 0.5, 0.0, 1.0, 2.0, 0.0)
+    assert hears.get(3).deaf  # to robot 1, whose peers these are
+    assert hears.accept_beacon(beacon(3, T0 + 5 * PERIOD), T0 + 6 * PERIOD) is None
+    assert not hears.get(3).deaf
+
+
+def test_hearsay_is_no_news_of_who_was_heard_since_nor_of_oneself():
+    known = heard(peers(), message(2, 5, T0 + S, position=(1.0, 2.0)), now_ns=T0 + 2 * S)
+    row = (T0, True, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0)
+    future = T0 + 3 * S, *row[1:]
+    rows = (2, *row), (1, *row), (5, *future)
+    said = beacon(3, T0 + 2 * S)._replace(silent=tuple(map(Silent._make, rows)))
+    assert known.accept_beacon(said, T0 + 2 * S + PERIOD) is None
+    assert predicted(known, 2, T0 + S).position == (1.0, 2.0)
+    assert {peer.robot for peer in known.known if peer.message is not None} == {2, 3}
+
+
+def test_who_comes_into_a_drive_has_to_be_told_of_all():
+    there = peers(starts={2: (1.5, -2.0), 3: (0.0, 3.0), 4: (9.0, 0.0)})
+    new = peers(starts={2: (1.5, -2.0), 3: (0.0, 3.0), 4: (9.0, 0.0)})
+    assert rows(there, T0) == (), "before the drive nothing is said of who never came"
+    for known in (there, new):
+        known.forecast.epoch_ns = T0 + S
+    there.begin(T0)
+    now = T0 + 30 * S
+    heard(there, message(4, 5, T0 + 9 * S), now_ns=T0 + 9 * S + PERIOD)
+    assert there.unknown == []
+    new.begin(now)
+    assert new.unknown == [2, 3, 4]
+    assert rows(new, now) == (), "it does not know whether they never came"
+    assert new.accept_beacon(told(there, now), now + PERIOD) is None
+    assert new.unknown == []
+    assert new.get(2).message is None, "it is looked for on its way from its start"
+    on = {row.robot: row.time_ns for row in rows(new, now + 2 * PERIOD)}
+    assert (on[2], on[4]) == (NEVER_CAME_NS, T0 + 9 * S), "and told on"
+
+
+def test_who_was_carried_off_need_not_be_known():
+    new = peers(starts={2: (1.5, -2.0)})
+    new.begin(T0 + S)
+    assert new.unknown == [2]
+    new.remove([Removed(2, T0 + S)])
+    assert new.unknown == []
+
+
+def test_of_many_silent_robots_all_are_told_in_turn():
+    known = peers()
+    robots = range(2, 3 + 2 * SILENT_MAX)
+    for robot in robots:
+        heard(known, message(robot, 5, T0, position=(float(robot), 0.0)))
+    said = {row.robot for _ in range(3) for row in rows(known, T0 + 2 * S)}
+    assert said == set(robots)
+    assert len(rows(known, T0 + 2 * S)) == SILENT_MAX
+    new = peers()
+    assert new.rows.rounds_to_tell == 0
+    assert new.accept_beacon(beacon(3, T0)._replace(unheard=tuple(robots)), T0 + PERIOD) is None
+    assert new.rows.rounds_to_tell == 3
+    assert new.accept_beacon(beacon(3, T0 + S)._replace(unheard=(2,)), T0 + S + PERIOD) is None
+    assert new.rows.rounds_to_tell == 1, "it hears the others by now: of those nobody needs to be told"
+
+
+def test_nobody_is_told_of_before_a_mission_is_near():
+    known = heard(peers(), message(2, 5, T0, position=(1.0, 0.0)))
+    now_ns = T0 + 10 * S
+    assert known.rows.are_told(now_ns)
+    assert [row.robot for row in rows(known, now_ns)] == [2]
+    for epoch_ns in (0, now_ns + TELLS_NS + 1):
+        known.forecast.epoch_ns = epoch_ns
+        assert not known.rows.are_told(now_ns)
+        assert rows(known, now_ns) == ()
+    known.forecast.epoch_ns = now_ns + TELLS_NS
+    assert [row.robot for row in rows(known, now_ns)] == [2]
