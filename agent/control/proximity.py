@@ -128,9 +128,10 @@ class Proximity:
         """Whether a robot is within the sensing region, or will be at the next look; wherever it may be. One
         that is far away rests: it is not asked for again before it could be."""
         message = peer.message
-        stood = inf
+        stood = lasts_s = inf
         if message is not None and peer.is_heard(now_ns):
             age_ns = now_ns + peer.clock.used_ns - peer.time_ns
+            lasts_s = (UNSURE_NS + peer.lateness.forgiven_ns - age_ns) / NS_PER_S  # then it may be anywhere
             ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
             dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
             vx, vy, reach = message.vx, message.vy, peer.doubt(now_ns)
@@ -165,7 +166,7 @@ class Proximity:
         parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
         reach += self.sensing + (STAY_M if peer in self.close else 0.0)
         room = min(away, stood) - reach
-        as_said_s = min(AHEAD_S, (room - speed * AHEAD_S) / (speed + self._turning))
+        as_said_s = min(AHEAD_S, lasts_s, (room - speed * AHEAD_S) / (speed + self._turning))
         rest_s = max(room / self._closing - AHEAD_S, as_said_s)
         if rest_s > 0.0:
             rest_ns = min(REST_MAX_NS, int(rest_s * NS_PER_S))

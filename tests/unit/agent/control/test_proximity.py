@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import atan2, cos, hypot, inf, sin
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agent.control.controller import LOOK_PERIOD_NS
@@ -115,13 +115,13 @@ def test_in_a_large_fleet_where_a_silent_robot_may_be_is_only_found_out_where_it
 ) -> None:
     asked = []
     scene = Scene("avoidance.beacon_interval_max_s=2.0")
-    believed = scene.peers.belief
+    believed = scene.peers.whereabouts.belief
 
     def noted(peer: Peer) -> Belief | None:
         asked.append(peer.robot)
         return believed(peer)
 
-    monkeypatch.setattr(scene.peers, "belief", noted)
+    monkeypatch.setattr(scene.peers.whereabouts, "belief", noted)
     scene.beacon(9.0)
     for _ in range(15):
         scene.wait()
@@ -138,13 +138,13 @@ def test_of_many_that_fall_silent_together_the_nearest_are_looked_for_first(
 ) -> None:
     scene = Scene("avoidance.beacon_interval_max_s=2.0")
     asked: list[int] = []
-    worked_out = scene.peers.belief
+    worked_out = scene.peers.whereabouts.belief
 
     def noted(peer: Peer) -> Belief | None:
         asked.append(peer.robot)
         return worked_out(peer)
 
-    monkeypatch.setattr(scene.peers, "belief", noted)
+    monkeypatch.setattr(scene.peers.whereabouts, "belief", noted)
     for robot, x in ((3, 3.4), (4, -3.0), (5, 3.2), (6, -3.6), (7, 2.9)):
         scene.beacon(x, robot=robot)
     scene.wait(3 * S)
@@ -164,6 +164,7 @@ def test_of_many_that_fall_silent_together_the_nearest_are_looked_for_first(
         max_size=12,
     ),
 )
+@example(3.0, [(3.0, 0.0, 0.5, 0.0), (0.0, 0.0, 0.0, 0.0)])  # it falls silent meanwhile
 def test_who_rests_is_not_near_before_it_is_looked_at_again(
     away: float, legs: list[tuple[float, float, float, float]]
 ) -> None:
