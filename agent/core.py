@@ -279,7 +279,7 @@ class Agent:
         if plan is None:
             return None
         situation.mission, situation.refused_mission = mission, ""
-        self._relay.took(mission)
+        self._relay.took(mission, now_ns)
         self._controller.plan(plan)
         if before is None or before.epoch_ns != mission.epoch_ns:
             situation.give_back()

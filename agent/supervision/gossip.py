@@ -3,7 +3,7 @@
 Any robot that has an order relays it: there is no coordinator. Who lacks it shows in beacons, or
 asks. Each says it on its own key (`agent.messages.key_expressions.relayed`), and mostly one does, since all
 other agents hear that. Who may hear this robot alone, such as its plant, is told in any case, and so is what
-it has just learnt.
+it has just learnt; but of a large fleet, which learns a mission at once, only the first say that.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ LACKING_NS: Final = 2 * AGAIN_NS
 """To somebody who lacks it for so long it is said whoever else says it: he may not hear them, or one of them
 lies to be heard by all but him."""
 SPREAD_NS: Final = NS_PER_S // 50
-"""Robots wait for different times, in steps of this: mostly one says it and the others hear it."""
+"""Robots wait for different times, in steps of this: mostly one says it and the others hear it. Who ticks
+more seldom than that needs longer ones."""
 STEPS: Final = 8
 
 
@@ -29,10 +30,15 @@ class Gossip:
 
     Args:
         known: what this robot has of the thing; it is relayed to who has less.
+        step_ns: robots wait for different times, in steps of this.
+        is_shared: so many learn it at once that it is left to the first of them to say it at once; who lacks
+            it then will show it.
     """
 
-    def __init__(self, robot: int, known: Callable[[], Mark]) -> None:
-        self._wait_ns = SPREAD_NS * (robot % STEPS)
+    def __init__(
+        self, robot: int, known: Callable[[], Mark], step_ns: int = SPREAD_NS, *, is_shared: bool = False
+    ) -> None:
+        self._wait_ns, self._is_shared = step_ns * (robot % STEPS), is_shared
         self._known = known
         self._due_ns: int | None = None
         self._lacked_ns: int | None = None
@@ -43,6 +49,13 @@ class Gossip:
     def insist(self) -> None:
         """Somebody may hear this robot and nobody else: it is said here, whoever else says it."""
         self._insists = True
+
+    def learnt(self, now_ns: int) -> None:
+        """This robot has it from now on."""
+        if self._is_shared:
+            self.asked(now_ns)
+        else:
+            self.insist()
 
     def lacks(self, now_ns: int, mark: Mark) -> None:
         """Somebody has acknowledged only this much of it."""

@@ -15,7 +15,7 @@ from agent.messages.codec import encode, mark_of
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
 from agent.messages.versions import can_be
-from agent.supervision.gossip import AGAIN_NS, Gossip
+from agent.supervision.gossip import AGAIN_NS, SPREAD_NS, Gossip
 from agent.supervision.stop_latch import StopLatch
 
 UNMOVED_NS: Final = NS_PER_S // 2
@@ -35,7 +35,8 @@ class OrderRelay:
         self.key: Final = key_expressions.relayed(name, robot)
         self.subscription: Final = key_expressions.relayed(name, "*")
         self._latch, self._choice = latch, missions
-        self._missions = Gossip(robot, lambda: missions.mark)
+        step_ns = max(SPREAD_NS, fleet.period_ns) if fleet.is_large else SPREAD_NS
+        self._missions = Gossip(robot, lambda: missions.mark, step_ns, is_shared=fleet.is_large)
         self._orders = Gossip(robot, lambda: latch.mark)
         self._numbers = SequenceNumbers(fleet.period_ns)
         """Those of the own plant, if it has acknowledged the mission."""
@@ -66,10 +67,11 @@ class OrderRelay:
         """Somebody has said a mission that is for this fleet, newer or not."""
         self._missions.said(now_ns, mark_of(mission))
 
-    def took(self, mission: Mission) -> None:
-        """This is the mission from now on."""
+    def took(self, mission: Mission, now_ns: int) -> None:
+        """This is the mission from now on. In a large fleet not all of them tell all of them."""
         self._numbers.begin(mission.epoch_ns)
-        self._missions.insist()
+        self._plant_told_ns = now_ns  # what it said last it said before
+        self._missions.learnt(now_ns)
 
     def compare(self, now_ns: int, beacon: Beacon) -> None:
         """Another robot says which orders it has acknowledged."""

@@ -23,9 +23,11 @@ T0 = 1000 * NS_PER_S
 class Teller:
     """Calls `due` every tick, as an agent does."""
 
-    def __init__(self, robot: int = 3, version: int = 5) -> None:
+    def __init__(
+        self, robot: int = 3, version: int = 5, step_ns: int = SPREAD_NS, is_shared: bool = False
+    ) -> None:
         self.version = version
-        self.gossip = Gossip(robot, lambda: (self.version, 0))
+        self.gossip = Gossip(robot, lambda: (self.version, 0), step_ns, is_shared=is_shared)
 
     def says(self, begin_ns: int, end_ns: int) -> list[int]:
         """Ticks from `begin_ns` until before `end_ns` at which it says it."""
@@ -56,6 +58,30 @@ def test_robots_wait_for_different_times():
         first += teller.says(T0, T0 + NS_PER_S)
     assert len(set(first)) == STEPS
     assert max(first) < T0 + STEPS * SPREAD_NS
+
+
+def test_what_is_learnt_is_said_at_once():
+    teller = Teller(robot=3)
+    teller.gossip.said(T0, (5, 0))
+    teller.gossip.learnt(T0)
+    assert teller.says(T0, T0 + NS_PER_S) == [T0]
+
+
+def test_what_many_learn_at_once_the_first_of_them_say():
+    tellers = [Teller(robot, step_ns=PERIOD, is_shared=True) for robot in range(4 * STEPS)]
+    said = []
+    for teller in tellers:
+        teller.gossip.said(T0, (5, 0))  # by the operator
+        teller.gossip.learnt(T0)
+    for now in range(T0, T0 + 2 * NS_PER_S, PERIOD):
+        saying = [number for number, teller in enumerate(tellers) if teller.gossip.due(now)]
+        said += saying
+        for teller in tellers if saying else ():
+            teller.gossip.said(now, (5, 0))
+    assert said == list(range(0, 4 * STEPS, STEPS))
+    alone = Teller(robot=3, step_ns=PERIOD, is_shared=True)  # and who hears nobody else say it says it
+    alone.gossip.learnt(T0)
+    assert alone.says(T0, T0 + NS_PER_S) == [T0 + 3 * PERIOD]
 
 
 def test_who_hears_another_say_it_is_quiet():
