@@ -336,7 +336,9 @@ def beyond(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], lis
             timeout=60.0,
         )
         told.append(f"handfast stop: {time.perf_counter() - begun:.1f} s, exit status {done.returncode}")
-        stops.extend(int(ms) / 1000.0 for ms in re.findall(r"stop\w+ after (\d+) ms", done.stdout))
+        if brake := re.search(r"(\d+) robots brake, the last after (\d+) ms", done.stdout):
+            braked, last_ms = map(int, brake.groups())
+            stops.extend([last_ms / 1000.0] * braked)
 
     out = folder / "beyond"
     file = write_lattice(folder, robots, rate_hz)
