@@ -22,6 +22,11 @@ DURATION_S: Final = 60.0
 TIMEOUT_S: Final = 0.2
 TIMEOUT_PERIODS: Final = 3.0
 """Agent and plant wait so long for each other, and so many periods at least."""
+SPEED_M: Final = 0.15
+"""Robots go so far in a period at most: those that may be faster listen to each other from further away."""
+KP: Final = 1.0
+KP_BY_HZ: Final = 0.125
+"""Slower robots are pulled into shape less: else they may fold it (docs/theory.md)."""
 
 
 def places(robots: int) -> list[tuple[float, float]]:
@@ -57,6 +62,7 @@ def lattice(
     spots, random = places(robots), Random(seed)
     joined = edges(spots)
     timeout_s = max(TIMEOUT_S, TIMEOUT_PERIODS / rate_hz)
+    limit = f"\nmax_speed_mps = {SPEED_M * rate_hz:g}" if rate_hz < RATE_HZ else ""
     rows = []
     for number, (x, y) in enumerate(spots, 1):
         at = x + random.uniform(-SCATTER_M, SCATTER_M), y + random.uniform(-SCATTER_M, SCATTER_M)
@@ -93,9 +99,9 @@ edges = [
 
 [control]
 coupling = "joint"
-kp = 1.0
+kp = {min(KP, KP_BY_HZ * rate_hz):g}
 plant_timeout_s = {timeout_s:g}
-wrench_timeout_s = {timeout_s:g}
+wrench_timeout_s = {timeout_s:g}{limit}
 
 [trajectory]
 kind = "circle"

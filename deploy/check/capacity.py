@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import floor
 from typing import Final, NamedTuple
 
+from agent.control.safety_distances import barrier_rate, speed_max
 from agent.fleet.model import Fleet
 from deploy.check.check import check
 from deploy.check.finding import Finding
@@ -32,6 +34,8 @@ takes more than driving. What is nearly as much slows down at times (`agent.supe
 TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
 TIMEOUT_PERIODS: Final = 3.0
 """Fields of `[control]` that must be at least two periods; with so many one lost message is nothing."""
+SPEED: Final = "max_speed_mps"
+"""Field of `[control]` that is lower at a lower rate."""
 RATES_HZ: Final = (50.0, 40.0, 30.0, 25.0, 20.0, 15.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.0)
 """Rates that are proposed."""
 
@@ -102,15 +106,16 @@ def carried(fleet: Fleet, machine: Machine) -> int:
 
 
 def slower(fleet: Fleet, rate_hz: float) -> Fleet:
-    """`fleet` at a lower rate, with timeouts that suit it."""
+    """`fleet` at a lower rate, with timeouts that suit it, and with a speed limit from which robots brake in
+    as short a way as before: else they would have to listen to each other from further away."""
     control = fleet.control
     least_s = TIMEOUT_PERIODS / rate_hz
-    timeouts = {name: max(getattr(control, name), least_s) for name in TIMEOUTS}
-    return replace(
-        fleet,
-        fleet=replace(fleet.fleet, rate_hz=rate_hz),
-        control=replace(control, **timeouts),
-    )
+    changes = {name: max(getattr(control, name), least_s) for name in TIMEOUTS}
+    found = replace(fleet, fleet=replace(fleet.fleet, rate_hz=rate_hz), control=replace(control, **changes))
+    later = barrier_rate(found) / barrier_rate(fleet)
+    if fleet.avoidance.enabled and fleet.avoidance.sensing_m is None and later < 1.0:
+        changes[SPEED] = floor(100.0 * later * speed_max(fleet)) / 100.0
+    return replace(found, control=replace(control, **changes))
 
 
 def that_fits(fleet: Fleet, machine: Machine) -> Fleet | None:
@@ -151,7 +156,7 @@ def overload(fleet: Fleet, machine: Machine) -> str:
         advice = "drive fewer, on a larger machine or in virtual time (`handfast simulate`)"
     else:
         changes = [f"fleet.rate_hz={found.fleet.rate_hz:g}"]
-        for name in TIMEOUTS:
+        for name in (SPEED, *TIMEOUTS):
             if getattr(found.control, name) != getattr(fleet.control, name):
                 changes.append(f"control.{name}={getattr(found.control, name):g}")
         words = " ".join(f"--set {change}" for change in changes)

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
+import numpy as np
+
+from agent.control.safety_distances import sensing_distance
 from agent.fleet.hosts import MESH_ROBOTS_MAX
 from agent.fleet.model import Fleet
+from agent.formation.geometry import Geometry, resolve, start_hands
 from deploy.check.finding import Finding
+from deploy.check.safety import parting
 
 STATUS_HZ: Final = 5.0
 """How often an agent says its status to operators."""
@@ -18,8 +23,8 @@ class Load(NamedTuple):
 
     Attributes:
         links: between processes of the fleet, an operator's left out.
-        hands, beacons, own: messages a second that an agent hears, on average over the robots: neighbours'
-            hand states, others' beacons, its plant's states.
+        hands, beacons, own: messages a second that an agent hears, on average over the robots: hand states
+            of those that it listens to, others' beacons, its plant's states.
         routed: messages a second that all routers pass on, to robots and one operator.
     """
 
@@ -40,10 +45,40 @@ def beacon_hz(fleet: Fleet) -> float:
     return fleet.fleet.rate_hz / fleet.beacon_rounds_max
 
 
+def neighbours(fleet: Fleet, geometry: Geometry) -> dict[int, set[int]]:
+    """With whom each robot shares an edge."""
+    found: dict[int, set[int]] = {robot: set() for robot in fleet.ids}
+    for i, j in geometry.edges.tolist():
+        one, other = geometry.ids[i], geometry.ids[j]
+        found[one].add(other)
+        found[other].add(one)
+    return found
+
+
+def listeners(fleet: Fleet, geometry: Geometry, *, at_start: bool = False) -> dict[int, set[int]]:
+    """Whose hand states each robot listens to at the places or at the start; these listen to its own."""
+    found = neighbours(fleet, geometry)
+    if not fleet.avoidance.enabled:
+        return found
+    ids = geometry.ids
+    x, y = (start_hands(fleet) if at_start else geometry.offsets).T
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    near = np.argwhere(apart < sensing_distance(fleet, parting(fleet, geometry)[0]))
+    for i, j in near.tolist():
+        if i != j:
+            found[ids[i]].add(ids[j])
+    return found
+
+
 def load_of(fleet: Fleet) -> Load:
-    """What the network of `fleet` carries. Robots that come near each other hear more of each other."""
+    """What the network of `fleet` carries while all are at their places. Robots that pass each other hear
+    more of each other.
+
+    Raises:
+        agent.fleet.model.FleetError: its formation cannot be resolved.
+    """
     n, rate = len(fleet.robots), fleet.fleet.rate_hz
-    hands = 2.0 * len(fleet.formation.edges) / n * rate
+    hands = sum(map(len, listeners(fleet, resolve(fleet)).values())) / n * rate
     beacons = (n - 1) * beacon_hz(fleet)
     if not fleet.is_routed:
         return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0)

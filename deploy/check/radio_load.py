@@ -10,11 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Set
 from typing import Final, NamedTuple
 
-import numpy as np
-
-from agent.control.safety_distances import sensing_distance
 from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, start_hands
+from agent.formation.geometry import Geometry
 from agent.links.wire_size import (
     KEEP_ALIVE_HZ,
     acknowledged_bytes,
@@ -37,8 +34,7 @@ from agent.messages.types import (
     Total,
     Wrench,
 )
-from deploy.check.network import STATUS_HZ, beacon_hz
-from deploy.check.safety import parting
+from deploy.check.network import STATUS_HZ, beacon_hz, listeners, neighbours
 
 _NOW_NS: Final = 1_790_000_000_000_000_000
 _ROUND: Final = FIRST_ROUND + 10_000
@@ -131,31 +127,6 @@ def worst_load(
         for load in radio_loads(fleet, geometry, at_start=at_start, operator=operator, silences=silences)
     ]
     return max(loads, key=lambda load: load.most)
-
-
-def neighbours(fleet: Fleet, geometry: Geometry) -> dict[int, set[int]]:
-    """With whom each robot shares an edge."""
-    found: dict[int, set[int]] = {robot: set() for robot in fleet.ids}
-    for i, j in geometry.edges.tolist():
-        one, other = geometry.ids[i], geometry.ids[j]
-        found[one].add(other)
-        found[other].add(one)
-    return found
-
-
-def listeners(fleet: Fleet, geometry: Geometry, *, at_start: bool = False) -> dict[int, set[int]]:
-    """Whose hand states each robot listens to at the places or at the start; these listen to its own."""
-    found = neighbours(fleet, geometry)
-    if not fleet.avoidance.enabled:
-        return found
-    ids = geometry.ids
-    x, y = (start_hands(fleet) if at_start else geometry.offsets).T
-    apart = np.hypot(x[:, None] - x, y[:, None] - y)
-    near = np.argwhere(apart < sensing_distance(fleet, parting(fleet, geometry)[0]))
-    for i, j in near.tolist():
-        if i != j:
-            found[ids[i]].add(ids[j])
-    return found
 
 
 def _load(

@@ -19,10 +19,12 @@ from deploy.check.capacity import (
     cost_of,
     describe_cost,
     overload,
+    slower,
     that_fits,
     used,
 )
 from deploy.check.check import check
+from deploy.check.network import load_of
 from deploy.console.data_files import FLEETS
 
 LAPTOP = Machine(2.0, 1.0)
@@ -64,13 +66,24 @@ def test_a_fleet_that_is_too_large_is_told_what_fits_and_that_fits() -> None:
     text = overload(many, machine)
     assert text.startswith("100 robots at 20 Hz need about ")
     assert f"this machine (2 cores) carries about {carried(many, machine)} robots like these at 20 Hz" in text
-    slower = that_fits(many, machine)
-    assert slower is not None
+    fitting = that_fits(many, machine)
+    assert fitting is not None
     changes = text.partition("--set ")[2].split(" --set ")
-    assert changes[0] == f"fleet.rate_hz={slower.fleet.rate_hz:g}"
+    assert changes[0] == f"fleet.rate_hz={fitting.fleet.rate_hz:g}"
     told = resolved(parse_fleet(lattice("many", 100, rate_hz=20.0), source="many", overrides=changes))
     assert overload(told, machine) == ""
     assert [str(each) for each in check(told) if each.level == "error"] == []
+
+
+def test_at_the_rate_that_is_proposed_a_robot_listens_to_no_more_others_than_before() -> None:
+    many = fleet(60)
+    within = load_of(many).hands / 10.0
+    assert within == 2.0 * len(many.formation.edges) / 60, "its neighbours"
+    for rate_hz in (8.0, 6.0, 4.0, 2.0):
+        assert load_of(slower(many, rate_hz)).hands / rate_hz == pytest.approx(within)
+    kept = replace(many.control, plant_timeout_s=1.0, wrench_timeout_s=1.0)
+    as_fast = replace(many, fleet=replace(many.fleet, rate_hz=4.0), control=kept)
+    assert load_of(as_fast).hands / 4.0 > 3.0 * within, "who is fast brakes late at a low rate"
 
 
 def test_where_no_rate_fits_it_says_so() -> None:
