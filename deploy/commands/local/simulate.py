@@ -61,5 +61,7 @@ def _simulate(options: argparse.Namespace) -> int:
         took = time.perf_counter() - begun
         if not options.quiet:
             driven = max(0.0, (simulation.now_ns - simulation.epoch_ns) / NS_PER_S)
-            view.say(f"{driven:.1f} s of driving in {took:.2f} s, {driven / took:.0f} times real time")
+            speed = driven / took
+            times = f"{speed:.0f}" if speed > 9.5 else f"{speed:.2g}"  # of a large fleet it is less than 1
+            view.say(f"{driven:.1f} s of driving in {took:.2f} s, {times} times real time")
         return finish(options, folder, simulation.reasons, interrupted=interrupt.count > 0)
