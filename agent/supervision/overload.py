@@ -73,6 +73,8 @@ class Overload:
         self._gaps: deque[int] = deque()
         self._tight: deque[int] = deque(maxlen=TIGHT_MAX)
         self._others: dict[int, tuple[int, int]] = {}
+        self._blamed: list[int] = []
+        """Who wants the level that is gone by; they may have said something else since."""
         self._since_ns = 0
         self._fell_ns: int | None = None
         self._looked_ns = self._asked_ns = 0
@@ -148,6 +150,7 @@ class Overload:
             self._asked_ns += now_ns - self._looked_ns if self.wanted else 0
         self._looked_ns = now_ns
         self.level = min(max(self.wanted, self.others), self._steps + 2)
+        self._blamed = sorted(robot for robot, (wanted, _) in self._others.items() if wanted >= self.level)
         self.idle = not (self.wanted or self._others or self._late)
         if self.level != before:
             self._forget(now_ns)
@@ -214,7 +217,7 @@ class Overload:
         if self.wanted >= self.level:
             why = self.stall(now_ns)
         else:
-            who = sorted(robot for robot, (wanted, _) in self._others.items() if wanted >= self.level)
+            who = self._blamed
             more = f" and {len(who) - 1} more" if len(who) > 1 else ""
             why = f"overloaded: the machine of robot {who[0]}{more} runs late"
         rate = f"{NS_PER_S / self.period_ns:.4g} Hz" if self.step else ""

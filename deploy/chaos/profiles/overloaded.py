@@ -1,7 +1,8 @@
 """Scenarios on machines that have too much to do: each process stands now and then, and others go on (PURE).
 
 Many drive close together and fast for that: a robot whose plant does not hear its agent for its timeout
-brakes amid others that go on, and who follows it has to know. All links are whole. Lengths in m, W.
+brakes amid others that go on, and who follows it has to know. Links are whole, or lose a little and are late.
+Lengths in m, W.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ STALLS_HZ: Final = (0.2, 0.6)
 """So often each process does. All stand where most processes of a fleet are late: this is seldom enough."""
 STALLS_S: Final = (20.0, 30.0)
 RECOVERED_S: Final = 21.0
+LATE_LINKS: Final = 0.4
+LINK_DELAY_MS: Final = (10, 150)
+LINK_LOSS: Final = (0.5, 10.0)
+"""Share of the scenarios in which all links are late and lossy, by how much, ms, %."""
 _RATES_HZ: Final = ((10, 3.0), (15, 1.0), (20, 1.0))
 _TIMEOUT_PERIODS: Final = 3.0
 
@@ -60,7 +65,10 @@ def draw_overloaded(seed: int) -> Tables:
         for robot, (x, y) in shape.offsets.items()
     }
     tables["robot"] = pieces.robots_at(dice, starts, (), reach_m)
-    tables["faults"] = {"rule": [_stalls(dice, rate_hz, stalls_s)]}
+    rules = [_stalls(dice, rate_hz, stalls_s)]
+    if dice.chance(LATE_LINKS):
+        rules.append(_late_links(dice))
+    tables["faults"] = {"rule": rules}
     return tables
 
 
@@ -74,3 +82,9 @@ def _stalls(dice: Dice, rate_hz: float, until_s: float) -> Tables:
         "at": 0.0,
         "for": until_s,
     }
+
+
+def _late_links(dice: Dice) -> Tables:
+    """Of all links, all the time."""
+    delay = f"{dice.whole(*LINK_DELAY_MS)}ms"
+    return {"name": "links 1", "delay": delay, "loss": f"{dice.between(*LINK_LOSS, 1):g}%"}

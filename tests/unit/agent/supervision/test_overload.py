@@ -212,6 +212,19 @@ def test_the_greatest_that_is_heard_counts_for_a_while() -> None:
     assert loop.overload.idle
 
 
+def test_who_wants_it_no_longer_is_still_named_for_the_level_that_is_gone_by() -> None:
+    """What comes late over a link comes after the look of a tick, and before its status."""
+    overload = Overload(STEPS, PERIOD, GAP)
+    for robot in (7, 5):
+        overload.heard(robot, 1, NS_PER_S, 0)
+    overload.look(NS_PER_S)
+    for robot in (5, 7):
+        overload.heard(robot, 0, NS_PER_S, 0)
+        assert overload.text(NS_PER_S).startswith("overloaded: the machine of robot 5 and 1 more runs late: ")
+    overload.look(NS_PER_S + PERIOD)
+    assert overload.text(NS_PER_S + PERIOD) == ""
+
+
 def test_what_is_said_rarely_holds_until_it_is_due_again() -> None:
     loop = Loop()
     loop.overload.heard(3, 1, loop.now, 10 * NS_PER_S)
