@@ -55,6 +55,9 @@ from agent.supervision.status import StatusReport
 STOOD_NS: Final = 2 * OUTAGE_NS
 """It is told for how much of the time since then the own process did not run: whoever hears it looks no
 further back for what may be lost."""
+DEAF_AFTER_NS: Final = 3 * NS_PER_S
+CALM_PARTS: Final = 15
+"""A robot behind routers is not deaf whose process stood for more than this part of that time."""
 
 
 class Agent:
@@ -104,7 +107,7 @@ class Agent:
         self._hands = {key: other for other, key in self._hand_of.items()}
         self._said_by = {key: (other, True) for key, other in self._hands.items()}
         self._said_by |= {key_expressions.beacon(name, other): (other, False) for other in others}
-        self._watches_all = not fleet.is_large
+        self._watches_all, self._is_routed = not fleet.is_large, fleet.is_routed
         horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         self._deafness = Deafness(
             others, horizon_ns, fleet.hands_within_ns, sees_all=self._watches_all, one_link=fleet.is_routed
@@ -211,10 +214,16 @@ class Agent:
 
     def deaf_to(self, now_ns: int) -> Sequence[int]:
         """See `agent.node.Node`: robots that others hear. Of what came while the process stood, some comes
-        later than the rest."""
+        later than the rest. Routers that are short of processor drop messages of some: links to them that
+        were opened anew for that would take what they have left."""
         if self._overload.missed_ns(now_ns - NS_PER_S):
             return ()
+        if self._is_routed and (not self._overload.idle or self._has_stood(now_ns)):
+            return ()
         return self._deafness.look(now_ns, self._listened)
+
+    def _has_stood(self, now_ns: int) -> bool:
+        return self._overload.missed_ns(now_ns - DEAF_AFTER_NS) > DEAF_AFTER_NS // CALM_PARTS
 
     def link_opened_anew(self, now_ns: int, what: str) -> None:
         """See `agent.node.Node`: its status says so for a while."""

@@ -199,11 +199,14 @@ class Situation:
             return f"for its plant, whose clock is {ahead_s:.2f} s ahead" if ahead_s else "for its plant"
         age_ns = now_ns - plant.time_ns
         if age_ns > self._plant_timeout_ns:
-            if age_ns - self._overload.missed_ns(plant.time_ns) <= self._plant_timeout_ns:
+            missed_ns = self._overload.missed_ns(plant.time_ns)
+            if age_ns - missed_ns <= self._plant_timeout_ns:
                 self._stood = self._overload.stall(now_ns)
                 return self._stood
             came_ns = self._plant_came_ns
             if came_ns - plant.time_ns > self._plant_timeout_ns >= now_ns - came_ns:
+                if 2 * missed_ns > age_ns:  # it waited for this process most of the time
+                    return self._overload.stall(now_ns)
                 return f"plant late by {age_ns / NS_PER_S:.2f} s, or its clock is behind"
             return f"plant silent for {age_ns / NS_PER_S:.2f} s"
         if not plant.healthy:

@@ -232,6 +232,8 @@ class Stopping:
         (state, version), brakes = self._states[robot], self._agents.get(robot)
         if self._obeys(robot) and brakes is not None:
             return f"{state} after {self._ms(brakes)}"
+        if brakes is not None and state in BRAKING and version < self.message.version:
+            return f"{state} after {self._ms(brakes)}, by an earlier stop: it has not taken the last one yet"
         if brakes is not None:
             return f"{state}: another operator has let it drive again"
         if state in BRAKING and version < 0:

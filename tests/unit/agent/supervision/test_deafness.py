@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 
+import pytest
+
 from agent.common.time import NS_PER_S
 from agent.messages.types import Beacon
 from agent.supervision.deafness import LATE_NS, PAUSE_MAX_NS, PAUSE_NS, Deafness
@@ -176,6 +178,21 @@ def test_an_agent_to_which_nothing_of_a_neighbour_is_delivered_is_deaf_to_it():
     assert deaf(bench, 6) == set()
     bench.cut = lambda key, node: node is bench.agents[1] and key.startswith("few/robot/3/")
     assert deaf(bench, 6) == {(1, 3)}
+
+
+@pytest.mark.parametrize("topology", ["mesh", "routed"])
+def test_behind_a_router_it_is_not_while_anybody_is_overloaded(topology: str):
+    bench = FleetBench(three(f'network.topology="{topology}"'))
+    meet(bench)
+    assert deaf(bench, 6) == set()
+    bench.cut = lambda key, node: node is bench.agents[1] and key.startswith("few/robot/3/")
+    found = set()
+    for _ in range(30):
+        for _ in range(8):  # the machine of robot 2
+            bench.agents[2].late(bench.now, NS_PER_S // 10)
+        found |= deaf(bench, 0.2)
+    assert found == ({(1, 3)} if topology == "mesh" else set())
+    assert deaf(bench, 6) == {(1, 3)}, "when it is over"
 
 
 def test_one_that_loses_them_by_a_rule_is_not():

@@ -299,6 +299,19 @@ def test_a_plant_that_may_have_spoken_while_the_own_process_stood_is_not_lost() 
     assert made.conditions(later, State.RUNNING).plant == made.plant_trouble
 
 
+def test_what_of_a_plant_waited_for_the_own_process_is_not_late_nor_its_clock_behind() -> None:
+    made, _ = driving()
+    later = NOW + 2 * NS_PER_S
+    made._overload.late(later, NS_PER_S + NS_PER_S // 2)  # the plant had fallen silent before
+    made.accept_plant(plant(time_ns=NOW + 1), later)
+    made.check_plant(later)
+    assert made.plant_trouble == "overloaded: this machine ran late by 1.5 s"
+    made._overload.late(later + NS_PER_S, NS_PER_S // 10)
+    made.accept_plant(plant(time_ns=NOW + NS_PER_S), later + NS_PER_S)
+    made.check_plant(later + 3 * NS_PER_S)
+    assert made.plant_trouble == "plant silent for 4.00 s"
+
+
 def test_a_heartbeat_that_may_have_come_meanwhile_is_not_missing() -> None:
     made, _ = driving("supervision.deadman_s=0.5")
     made.heartbeat_ns = NOW

@@ -242,6 +242,18 @@ def test_a_later_stop_that_runs_give_is_outdone_too() -> None:
     assert made.message.version == VERSION + 92, "of the same version, another lay there"
 
 
+def test_who_brakes_by_the_stop_before_it_was_outdone_was_let_go_by_nobody() -> None:
+    made = stopping("a person")
+    brake(made, 1)
+    made.found(EPOCH, 2, "agent", "stopped", VERSION + 50, "over ssh to host1")
+    assert made.outcome(1) == (
+        "robot 1: stopping after 20 ms, by an earlier stop: it has not taken the last one yet, "
+        "its plant brakes after 30 ms"
+    )
+    agent(made, 1, 60, "running", VERSION + 60)
+    assert made.outcome(1).startswith("robot 1: running: another operator has let it drive again, ")
+
+
 def test_of_one_that_brakes_and_has_kept_nothing_it_is_not_said_that_it_has_not_taken_it() -> None:
     made = stopping()
     made.found(EPOCH, 1, "agent", "stopped", -1, "over ssh to host1")
