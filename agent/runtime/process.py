@@ -112,8 +112,17 @@ class OrderKeeper:
         """Gives `node` what was kept when the process ran last, before its first tick."""
         self._node.recall(now_ns, self._opened(self._store.read()))
 
-    def step(self, now_ns: int) -> None:
-        """After a tick: has kept what is new, says what is, and takes a stop that was laid there."""
+    def look(self, now_ns: int) -> None:
+        """Before a tick: takes a stop that was laid there. After it a process that has too little of the
+        machine would brake by it a tick later, which may be a second."""
+        laid = self._store.stops(now_ns)
+        if laid:
+            for order in self._opened(laid):
+                if order.startswith(_STOP):
+                    self._node.receive(now_ns, self._key_stop, order)
+
+    def step(self) -> None:
+        """After a tick: has kept what is new, and says what is."""
         node, store = self._node, self._store
         if node.lasting is not self._wanted:
             self._wanted, self._is_kept = node.lasting, False
@@ -122,11 +131,6 @@ class OrderKeeper:
             orders, trouble = done
             self._is_kept = orders is self._wanted and not trouble
             node.kept(orders, trouble)
-        laid = store.stops(now_ns)
-        if laid:
-            for order in self._opened(laid):
-                if order.startswith(_STOP):
-                    node.receive(now_ns, self._key_stop, order)
 
     def _opened(self, kept: Sequence[bytes]) -> list[bytes]:
         """The orders in what was kept; what is none any more is left out, and said."""
@@ -194,12 +198,14 @@ def loop(
             service.stopping()
             node.end()
             end_by_ns = now_ns + END_TIMEOUT_NS
+        if keeper is not None:
+            keeper.look(now_ns)
         outgoing = node.tick(now_ns)
         node.timed(clock.now_ns() - start_ns, missed)
         for key, payload in outgoing:
             bus.publish(key, payload)
         if keeper is not None:
-            keeper.step(now_ns)
+            keeper.step()
         condition = node.condition
         if condition is not said and condition != said and (condition[0] != said[0] or now_ns >= say_due_ns):
             text = f"{condition[0]}: {condition[1]}" if condition[1] else condition[0]

@@ -13,7 +13,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.node import Node
 from agent.runtime.bus import Bus
-from agent.runtime.process import ROUTER_PAUSE_NS, Shutdown, look_at_links, loop, names_of
+from agent.runtime.process import ROUTER_PAUSE_NS, OrderKeeper, Shutdown, look_at_links, loop, names_of
 from agent.runtime.systemd_notify import SystemdNotifier
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
@@ -109,6 +109,30 @@ def test_a_tick_is_told_its_deadline_and_those_slept_through_are_skipped():
     assert [(stamp - T0) / PERIOD for stamp in stamps] == [1, 2, 3, 6, 7, 8]
     assert node.overruns == 2
     assert said == ["braking: no wrench yet", "ending (enough)"]
+
+
+class Laid:
+    """Stands for `OrderKeeper`: a stop is found from a tick on."""
+
+    def __init__(self, node: PlantNode, from_ns: int) -> None:
+        self._node, self._from_ns = node, from_ns
+        self.conditions: list[str] = []
+
+    def look(self, now_ns: int) -> None:
+        if now_ns == self._from_ns:
+            self._node.receive(now_ns, "two/stop", encode(Stop(T0 // 1000, T0, "lunch")))
+
+    def step(self) -> None:
+        self.conditions.append(self._node.condition[1])
+
+
+def test_a_stop_that_was_laid_there_holds_from_the_tick_on_at_which_it_is_found():
+    fleet = parse_fleet(FLEET % "", source="here")
+    node, clock = PlantNode(fleet, 1, from_fleet(fleet, 1)), Clock({})
+    laid = Laid(node, T0 + 3 * PERIOD)
+    bus, ended = cast(Bus, Wire(clock, {})), cast(Shutdown, Ended(4))
+    loop(node, bus, clock, ended, [].append, SystemdNotifier({}), keeper=cast(OrderKeeper, laid))
+    assert laid.conditions == ["no wrench yet"] * 2 + ["stop: lunch"] * 2 + ["the plant was told to end"]
 
 
 def test_ticks_are_late_where_a_rule_wants_it():
