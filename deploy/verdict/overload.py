@@ -20,6 +20,8 @@ STOOD_SHARE: Final = 0.1
 STALL_S: Final = 0.5
 """A machine of whose robots none sent a pose for longer than this stood still."""
 
+_BETWEEN: Final = "what is between them and the recording stood still, a router or the program that records"
+
 
 class Stall(NamedTuple):
     """A time in which no robot of a machine sent a pose; `host` is its name in the fleet file, "" without."""
@@ -53,11 +55,7 @@ def stalls(recording: Recording) -> list[Stall]:
 
 def warnings(recording: Recording) -> list[str]:
     """Sentences that name a machine as the cause: nothing of it is the fleet's doing."""
-    out = [
-        f"{_name(stall.host)} stood still from {stall.start_s:.2f} s to {stall.end_s:.2f} s: none of its "
-        "robots sent a pose. That is not the fleet's doing."
-        for stall in stalls(recording)
-    ]
+    out = [_stall_words(recording, stall) for stall in stalls(recording)]
     slow = late_robots(recording)  # a law of others that is slow is named as such
     period_ms = 1e3 / recording.fleet.fleet.rate_hz
     for host, ids in _machines(recording).items():
@@ -77,6 +75,16 @@ def warnings(recording: Recording) -> list[str]:
     return out
 
 
+def _stall_words(recording: Recording, stall: Stall) -> str:
+    """Robots that went on while nothing came of them stood on no machine that stood."""
+    when = f"from {stall.start_s:.2f} s to {stall.end_s:.2f} s"
+    if any(_skipped(recording, robot) for robot in _machines(recording)[stall.host]):
+        stood = f"{_name(stall.host)} stood still {when}: none of its robots sent a pose."
+        return f"{stood} That is not the fleet's doing."
+    whose = f"of host {stall.host} " if stall.host else ""
+    return f"Nothing came of the robots {whose}{when}, though none of them skipped a tick: {_BETWEEN}."
+
+
 def explains(recording: Recording) -> list[str]:
     """A sentence where machines were too slow for most robots, to be read before all that failed by it."""
     if recording.mode == "simulate":
@@ -84,6 +92,11 @@ def explains(recording: Recording) -> list[str]:
     stood_s, late = sum(stall.end_s - stall.start_s for stall in stalls(recording)), late_robots(recording)
     if 2 * len(late) <= len(recording.ids) and stood_s <= STOOD_SHARE * recording.end_s:
         return []
+    if not late and not any(_skipped(recording, robot) for robot in recording.ids):
+        return [
+            f"For {stood_s:.1f} s nothing came of any robot, though none skipped a tick: {_BETWEEN}. What "
+            "follows may come of that alone."
+        ]
     stood = f", and {stood_s:.1f} s none could do anything" if stood_s else ""
     were = "Machines were" if len(_machines(recording)) > 1 else "The machine was"
     return [

@@ -111,13 +111,22 @@ def gap(
 
 
 def test_a_machine_that_stood_still_is_named_and_lacks_no_poses() -> None:
-    recording = gap(1, 2)
+    recording = gap(1, 2, skipped=2)
     assert [each[1:] for each in stalls(recording)] == [(pytest.approx(0.8), pytest.approx(1.4))]
     result = RunResult(recording)
     assert result.passed
     assert result.warnings == [
         "The machine that ran the fleet stood still from 0.80 s to 1.40 s: none of its robots sent a pose. "
         "That is not the fleet's doing."
+    ]
+
+
+def test_where_robots_went_on_while_nothing_came_of_them_it_was_not_their_machine() -> None:
+    result = RunResult(gap(1, 2))
+    assert result.passed
+    assert result.warnings == [
+        "Nothing came of the robots from 0.80 s to 1.40 s, though none of them skipped a tick: what is "
+        "between them and the recording stood still, a router or the program that records."
     ]
 
 
