@@ -97,7 +97,8 @@ def describe_links(fleet: Fleet) -> str:
         text = f"routed by {' or '.join(places)}"
     else:
         text = "routed by a router that `handfast run` starts"
-    heard = [(load.hands, "hand states"), (load.beacons, "beacons"), (load.own, "states of its plant")]
+    hands = "hand states" if fleet.control.send == "periodic" else "hand states while it settles, few then"
+    heard = [(load.hands, hands), (load.beacons, "beacons"), (load.own, "states of its plant")]
     text += f": {load.links} link{'s' * (load.links != 1)}; a robot hears "
     text += f"{', '.join(f'{rate:.0f} {what}' for rate, what in heard if rate)} a second"
     return text + (f", routers pass on {load.routed:.0f}" if load.routed else "")

@@ -25,6 +25,11 @@ def test_a_mesh_links_each_to_each() -> None:
     )
 
 
+def test_of_hand_states_that_are_sent_when_they_are_news_it_says_when_there_are_so_many() -> None:
+    text = describe_links(delta('control.send="event"'))
+    assert "a robot hears 150 hand states while it settles, few then, 25 beacons" in text
+
+
 def test_routers_pass_on_what_robots_and_an_operator_hear() -> None:
     load = load_of(delta('network.topology="routed"'))
     assert load.links == 18
