@@ -16,20 +16,20 @@ class TrickleTimer:
     Args:
         least_ns: nothing is said sooner after the last time (Imin).
         most_ns: it is said so long after it at the latest (Imax), whatever happens.
-        again_ns: after a change it is said a second time so much later; None: after `least_ns`.
 
     Attributes:
-        next_ns: so long after the last time it was said the next one comes at the latest.
+        next_ns: so long after the last time it was said the next one comes at the latest; `least_ns` at
+            first.
     """
 
-    __slots__ = ("_again_ns", "_changed", "_said_ns", "least_ns", "most_ns", "next_ns")
+    __slots__ = ("_changed", "_said_ns", "least_ns", "most_ns", "next_ns")
 
-    def __init__(self, least_ns: int, most_ns: int, again_ns: int | None = None) -> None:
+    def __init__(self, least_ns: int, most_ns: int) -> None:
         if not 0 < least_ns <= most_ns:
             raise ValueError(f"least_ns = {least_ns}: must be above 0 and at most most_ns = {most_ns}")
         self.least_ns: Final = least_ns
         self.most_ns: Final = most_ns
-        self._again_ns = self.next_ns = least_ns if again_ns is None else again_ns
+        self.next_ns = least_ns
         self._said_ns: int | None = None
         self._changed = False
 
@@ -57,7 +57,7 @@ class TrickleTimer:
             most_ns: a longest interval for this time that is shorter than the usual; None: the usual.
         """
         most_ns = self.most_ns if most_ns is None else max(self.least_ns, min(most_ns, self.most_ns))
-        self.next_ns = self._again_ns if self._changed or self._said_ns is None else 2 * self.next_ns
+        self.next_ns = self.least_ns if self._changed or self._said_ns is None else 2 * self.next_ns
         self.next_ns = min(self.next_ns, most_ns)
         self._said_ns, self._changed = now_ns, False
         return self.next_ns

@@ -26,9 +26,6 @@ WAY_M: Final = 0.5
 HURRIES_HZ: Final = 10
 """So many times a second all robots of a fleet together hurry for what can wait for the next beacon: if one
 follows, whom it does not hear, what it knows of those. What a fleet adds to its own trouble is bounded."""
-AGAIN_HZ: Final = 100
-"""What all tell anew at once, as which mission they have, nobody hears more often than so many times a second
-when they say it a second time."""
 RELAY_NS: Final = NS_PER_S
 """A robot that others do not hear is told of again after so long at the latest."""
 
@@ -54,8 +51,7 @@ class BeaconSchedule:
         self._robot, self._phase_ns, self._period_ns = robot, phase_ns, fleet.period_ns
         self._rounds = fleet.beacon_rounds
         least_ns, most_ns = self._rounds * fleet.period_ns, fleet.beacon_rounds_max * fleet.period_ns
-        again_ns = round(len(fleet.robots) * NS_PER_S / AGAIN_HZ / least_ns) * least_ns
-        self._timer = TrickleTimer(least_ns, most_ns, min(max(least_ns, again_ns), most_ns))
+        self._timer = TrickleTimer(least_ns, most_ns)
         self.is_seldom: Final = fleet.is_large
         self.minds: Collection[int] | None = None
         self.level = 0

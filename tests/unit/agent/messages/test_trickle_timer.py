@@ -30,18 +30,6 @@ def test_a_change_is_said_at_once_and_soon_again() -> None:
     assert said_at(TrickleTimer(LEAST, MOST), 5000, (2000,)) == [0, 200, 600, 1400, 2000, 2200, 2600, 3400]
 
 
-def test_where_many_change_at_once_it_is_said_again_later() -> None:
-    assert said_at(TrickleTimer(LEAST, MOST, 600), 5000, (2000, 2100)) == [
-        0,
-        600,
-        1800,
-        2000,
-        2200,
-        2800,
-        4000,
-    ]
-
-
 def test_never_sooner_than_the_shortest_interval() -> None:
     assert said_at(TrickleTimer(LEAST, MOST), 900, tuple(range(0, 900, 100))) == [0, 200, 400, 600, 800]
 

@@ -14,7 +14,7 @@ from agent.control.peers.beliefs import said_doubt
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import Beacon, Silent
-from agent.supervision.beacon_schedule import AGAIN_HZ, HURRIES_HZ, RELAY_NS, SURE_M, WAY_M, BeaconSchedule
+from agent.supervision.beacon_schedule import HURRIES_HZ, RELAY_NS, SURE_M, WAY_M, BeaconSchedule
 
 T0 = 1000 * NS_PER_S
 MARKS = (3, 7, -1, -1)
@@ -116,15 +116,6 @@ def test_what_is_new_is_said_at_the_next_turn_and_again() -> None:
         bench = quiet()
         assert bench.run(2.0, **fields) == [5.0, 5.2, 5.6, 6.4]
         assert bench.said[-4][1].next_ms == 0
-
-
-@pytest.mark.parametrize(("robots", "again_s"), [(25, 0.2), (60, 0.6), (100, 1.0)])
-def test_what_all_tell_anew_at_once_fills_nobodys_link(robots: int, again_s: float) -> None:
-    bench = Bench(fleet(robots))
-    bench.run(20.0)
-    first, second, *_ = bench.run(3.0, marks=(4, 0, -1, -1))
-    assert (first, second) == (20.0, pytest.approx(20.0 + again_s))
-    assert robots / again_s <= 1.25 * AGAIN_HZ
 
 
 def test_who_moves_as_it_said_has_nothing_new_to_say() -> None:
