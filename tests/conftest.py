@@ -21,6 +21,9 @@ MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test
 GRACE_S = 2.0  # how long a process that was told to stop may take to be gone
 NO_SKIPS = os.environ.get("HANDFAST_NO_SKIPS") == "1"  # set by .ci/run
 
+# As in `deploy.cli.process`: OpenBLAS's threads spin for each other where tests share the processors.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, print_blob=True)
 hypothesis.settings.register_profile("dev", deadline=None, print_blob=True)
 
