@@ -59,4 +59,4 @@ def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
     assert len(told) > 3 * len(fleet.ids)
     assert max(beacon.next_ms for beacon in told) > 1000
     assert not any(beacon.silent for beacon in told)
-    assert not any(agent._peers._beliefs for agent in simulation.agents)
+    assert not any(agent._peers.whereabouts._beliefs for agent in simulation.agents)
