@@ -55,9 +55,9 @@ from agent.supervision.status import StatusReport
 STOOD_NS: Final = 2 * OUTAGE_NS
 """It is told for how much of the time since then the own process did not run: whoever hears it looks no
 further back for what may be lost."""
-DEAF_AFTER_NS: Final = 3 * NS_PER_S
-CALM_PARTS: Final = 15
-"""A robot behind routers is not deaf whose process stood for more than this part of that time."""
+LATELY_NS: Final = 3 * NS_PER_S
+STOOD_MOST_NS: Final = NS_PER_S // 5
+"""A robot behind routers is not deaf whose process stood for longer than this lately."""
 
 
 class Agent:
@@ -218,12 +218,12 @@ class Agent:
         were opened anew for that would take what they have left."""
         if self._overload.missed_ns(now_ns - NS_PER_S):
             return ()
-        if self._is_routed and (not self._overload.idle or self._has_stood(now_ns)):
+        if self._is_routed and (not self._overload.idle or self._stood_lately(now_ns)):
             return ()
         return self._deafness.look(now_ns, self._listened)
 
-    def _has_stood(self, now_ns: int) -> bool:
-        return self._overload.missed_ns(now_ns - DEAF_AFTER_NS) > DEAF_AFTER_NS // CALM_PARTS
+    def _stood_lately(self, now_ns: int) -> bool:
+        return self._overload.missed_ns(now_ns - LATELY_NS) > STOOD_MOST_NS
 
     def link_opened_anew(self, now_ns: int, what: str) -> None:
         """See `agent.node.Node`: its status says so for a while."""
