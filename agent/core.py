@@ -110,7 +110,12 @@ class Agent:
         self._watches_all, self._is_routed = not fleet.is_large, fleet.is_routed
         horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         self._deafness = Deafness(
-            others, horizon_ns, fleet.hands_within_ns, sees_all=self._watches_all, one_link=fleet.is_routed
+            others,
+            horizon_ns,
+            fleet.hands_within_ns,
+            seldom_ns=(fleet.beacon_rounds_max - fleet.beacon_rounds) * fleet.period_ns,
+            sees_all=self._watches_all,
+            one_link=fleet.is_routed,
         )
         self._radio = Radio[OnAir](fleet, robot) if fleet.network.emulate_budget else None
         self._ingress = Ingress(

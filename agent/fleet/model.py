@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import ceil
 from typing import Final
 
 from agent.common.errors import Error
@@ -28,8 +29,10 @@ from agent.fleet.hosts import (
 from agent.fleet.orders import OrderSection
 from agent.fleet.routers import RouterPlace, routers_of
 from agent.fleet.safety import (
+    BEACON_HORIZONS,
     BEACONS_HZ,
     BEACONS_MANY,
+    ORDERS_HZ,
     AvoidanceSection,
     GeofenceSection,
     ObstacleSection,
@@ -166,7 +169,7 @@ class Fleet:
         longest_s, robots = self.avoidance.beacon_interval_max_s, len(self.robots)
         if longest_s is None:
             longest_s = robots / BEACONS_HZ if robots > BEACONS_MANY else 0.0
-        longest_s = min(longest_s, self.control.prediction_horizon_s)
+        longest_s = min(longest_s, BEACON_HORIZONS * self.control.prediction_horizon_s)
         turns = int(longest_s * self.fleet.rate_hz / self.beacon_rounds + 1e-9)
         return max(1, turns) * self.beacon_rounds
 
@@ -194,6 +197,13 @@ class Fleet:
         """Control periods in which a robot hears `LISTEN_BEACONS` beacons of every other, or the one that
         comes seldom."""
         return LISTEN_BEACONS * self.beacon_rounds + self.beacon_rounds_max - self.beacon_rounds
+
+    @property
+    def gathering_rounds(self) -> int:
+        """Control periods from a mission until a robot has heard `LISTEN_BEACONS` beacons of every other that
+        has it: in a large fleet they say so in turn."""
+        turns_s = len(self.robots) / ORDERS_HZ if self.is_large else 0.0
+        return LISTEN_BEACONS * self.beacon_rounds + ceil(turns_s * self.fleet.rate_hz)
 
     @property
     def period_ns(self) -> int:

@@ -21,7 +21,13 @@ CORNERS_MAX: Final = 200
 BEACONS_MANY: Final = 24
 """Robots of a larger fleet tell where they are less often, where nothing is new of it..."""
 BEACONS_HZ: Final = 25
-"""...so that each hears so many beacons a second, as many as of one neighbour's hand states at 50 Hz."""
+"""...so that each hears so many beacons a second, as many as of one neighbour's hand states at 50 Hz;"""
+BEACON_HORIZONS: Final = 2.0
+"""so many times as long as without any message of it somebody is given up at the most: it is given up as much
+later of whom beacons are seldom."""
+ORDERS_HZ: Final = 200
+"""So many a second of all robots of such a fleet say that they have an order, or another one than somebody
+says: all get it at once, statuses acknowledge it, and who lacks it needs to hear of it from one of them."""
 
 _SLOW_SHARE: Final = 0.75
 
@@ -69,7 +75,7 @@ class AvoidanceSection:
         None,
         "A robot tells it less often while it moves as the others expect by what it told last, has nothing "
         "new to tell and lacks nothing: so long after the last time at the latest. At most "
-        "`control.prediction_horizon_s`. Left out: 1 / `beacon_hz`; of more than "
+        f"{BEACON_HORIZONS:g} times `control.prediction_horizon_s`. Left out: 1 / `beacon_hz`; of more than "
         f"{BEACONS_MANY} robots so many seconds that each of them hears {BEACONS_HZ} beacons a second.",
         unit="s",
         gt=0,
@@ -359,11 +365,11 @@ def _check_beacons(values: Mapping[str, Any], reader: Reader) -> None:
             f"{show(longest)} is too short: avoidance.beacon_hz = {show(rate)} means {1.0 / rate:.6g} s "
             "between two",
         )
-    if longest is not None and horizon is not None and longest > horizon:
+    if longest is not None and horizon is not None and longest > BEACON_HORIZONS * horizon:
         reader.add(
             place,
-            f"{show(longest)} is too long: a robot that is silent for control.prediction_horizon_s = "
-            f"{show(horizon)} is given up",
+            f"{show(longest)} is too long: must be at most {BEACON_HORIZONS:g} times "
+            f"control.prediction_horizon_s = {show(horizon)}, so that who is gone is given up in time",
         )
 
 

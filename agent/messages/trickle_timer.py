@@ -3,6 +3,9 @@
 The timer of Trickle (RFC 6206), without its suppression: after a change a thing is said at once, and again
 after intervals that double, so that who has missed it hears it soon. What is said tells how long the next
 interval is at most, so that silence within it means nothing.
+
+What changes for many at once they would all say again at the same times, for ever after: so each has its own
+shares of its intervals, until they are as long as they get (in RFC 6206 a time drawn from their second half).
 """
 
 from __future__ import annotations
@@ -16,26 +19,38 @@ class TrickleTimer:
     Args:
         least_ns: nothing is said sooner after the last time (Imin).
         most_ns: it is said so long after it at the latest (Imax), whatever happens.
+        shares: both above 0 and at most 1, others for each who says such a thing: intervals that grow are so
+            far between their half and their whole, and the first of the longest is so much of it. Where the
+            two have nothing to do with each other, the times at which all say it spread evenly.
 
     Attributes:
         next_ns: so long after the last time it was said the next one comes at the latest; `least_ns` at
             first.
     """
 
-    __slots__ = ("_changed", "_said_ns", "least_ns", "most_ns", "next_ns")
+    __slots__ = (
+        "_again_ns", "_interval_ns", "_is_spread", "_said_ns", "_shares", "least_ns", "most_ns", "next_ns",
+    )  # fmt: skip
 
-    def __init__(self, least_ns: int, most_ns: int) -> None:
+    def __init__(self, least_ns: int, most_ns: int, shares: tuple[float, float] = (1.0, 1.0)) -> None:
+        if not all(0.0 < share <= 1.0 for share in shares):
+            raise ValueError(f"shares = {shares}: must be above 0 and at most 1")
         if not 0 < least_ns <= most_ns:
             raise ValueError(f"least_ns = {least_ns}: must be above 0 and at most most_ns = {most_ns}")
         self.least_ns: Final = least_ns
         self.most_ns: Final = most_ns
-        self.next_ns = least_ns
+        self.next_ns = self._interval_ns = least_ns
+        self._shares, self._is_spread = shares, False
         self._said_ns: int | None = None
-        self._changed = False
+        self._again_ns: int | None = None
 
-    def changed(self) -> None:
-        """What is to be said is not what was said last, or somebody seems to have missed it."""
-        self._changed = True
+    def changed(self, again_ns: int = 0) -> None:
+        """What is to be said is not what was said last, or somebody seems to have missed it.
+
+        Args:
+            again_ns: the first interval after it, where that may be longer than `least_ns`.
+        """
+        self._again_ns = again_ns if self._again_ns is None else min(again_ns, self._again_ns)
 
     def is_due(self, now_ns: int, again_ns: int = 0) -> bool:
         """Whether it is to be said at `now_ns`; whoever says it calls `said`.
@@ -48,7 +63,7 @@ class TrickleTimer:
         since_ns = now_ns - self._said_ns
         if since_ns >= self.next_ns or since_ns + again_ns > self.next_ns:
             return True
-        return self._changed and since_ns >= self.least_ns
+        return self._again_ns is not None and since_ns >= self.least_ns
 
     def said(self, now_ns: int, *, most_ns: int | None = None) -> int:
         """It is said at `now_ns`: returns within how long it is said again, ns.
@@ -57,7 +72,17 @@ class TrickleTimer:
             most_ns: a longest interval for this time that is shorter than the usual; None: the usual.
         """
         most_ns = self.most_ns if most_ns is None else max(self.least_ns, min(most_ns, self.most_ns))
-        self.next_ns = self.least_ns if self._changed or self._said_ns is None else 2 * self.next_ns
-        self.next_ns = min(self.next_ns, most_ns)
-        self._said_ns, self._changed = now_ns, False
+        if self._again_ns is not None or self._said_ns is None:
+            self._interval_ns = max(self.least_ns, min(self._again_ns or 0, most_ns))
+            self._is_spread = False
+        else:
+            self._interval_ns = min(2 * self._interval_ns, most_ns)
+        share = 1.0
+        if not self._is_spread:
+            self._is_spread = self._interval_ns == most_ns
+            growing, longest = self._shares
+            share = longest if self._is_spread else 0.5 * (1.0 + growing)
+        steps = max(1, round(share * self._interval_ns / self.least_ns))
+        self.next_ns = min(steps * self.least_ns, self._interval_ns) if share < 1.0 else self._interval_ns
+        self._said_ns, self._again_ns = now_ns, None
         return self.next_ns

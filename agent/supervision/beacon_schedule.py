@@ -16,16 +16,19 @@ from typing import Final
 from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.beliefs import said_doubt
 from agent.fleet.model import Fleet
+from agent.fleet.safety import ORDERS_HZ
 from agent.messages.trickle_timer import TrickleTimer
 from agent.messages.types import SILENT_MAX, Beacon, Silent
 
 SURE_M: Final = 0.03
 """A place is told again that is off by so much more than its age makes up for: measurements scatter."""
-WAY_M: Final = 0.5
+WAY_M: Final = 1.2
 """When it has gone so far it says it at the latest: it may have come to a stand on any of it."""
 HURRIES_HZ: Final = 10
-"""So many times a second all robots of a fleet together hurry for what can wait for the next beacon: if one
-follows, whom it does not hear, what it knows of those. What a fleet adds to its own trouble is bounded."""
+"""So many times a second all robots of a fleet together hurry for what can wait for the next beacon: that one
+stands, whom it does not hear, what it knows of those. What a fleet adds to its own trouble is bounded."""
+APART: Final = (0.7548776662466927, 0.5698402909980532)
+"""Their multiples spread evenly over the unit square, however many there are (Roberts' R2 sequence)."""
 RELAY_NS: Final = NS_PER_S
 """A robot that others do not hear is told of again after so long at the latest."""
 
@@ -51,13 +54,21 @@ class BeaconSchedule:
         self._robot, self._phase_ns, self._period_ns = robot, phase_ns, fleet.period_ns
         self._rounds = fleet.beacon_rounds
         least_ns, most_ns = self._rounds * fleet.period_ns, fleet.beacon_rounds_max * fleet.period_ns
-        self._timer = TrickleTimer(least_ns, most_ns)
+        shares = robot * APART[0] % 1.0 or 1.0, robot * APART[1] % 1.0 or 1.0
+        self._timer = TrickleTimer(least_ns, most_ns, shares)
         self.is_seldom: Final = fleet.is_large
         self.minds: Collection[int] | None = None
         self.level = 0
         self.tick_ns = fleet.period_ns
         self._pause_ns: Final = len(fleet.robots) * NS_PER_S // HURRIES_HZ
         self._hurried_ns, self._is_missed = -self._pause_ns, False
+        all_ns = len(fleet.robots) * NS_PER_S // ORDERS_HZ // least_ns * least_ns
+        self._again_ns: Final = all_ns
+        self._orders_pause_ns: Final = round(shares[0] * all_ns / least_ns) * least_ns
+        self._orders_ns: int | None = None
+        """Since when it has orders to tell of."""
+        self._lacking: set[int] = set()
+        """Those that say that they have other orders."""
         self._turn: int | None = None
         self._said: Beacon | None = None
         self._rows: dict[int, Silent] = {}
@@ -76,7 +87,11 @@ class BeaconSchedule:
             return beacon
         timer, now_ns = self._timer, beacon.time_ns
         said = self._said
-        if said is None or _presses(beacon, said) or beacon.overload > max(said.overload, self.level):
+        if said is None or self._tells_orders(beacon, said):
+            timer.changed(self._again_ns)
+        if said is None:
+            pass
+        elif _is_off(beacon, said) or beacon.overload > max(said.overload, self.level):
             timer.changed()
         elif now_ns - self._hurried_ns >= self._pause_ns and self._has_news(beacon, said):
             self._hurried_ns, self._is_missed = now_ns, False
@@ -89,15 +104,29 @@ class BeaconSchedule:
             most_ns = round(WAY_M / speed * NS_PER_S) // timer.least_ns * timer.least_ns
         next_ns = max(self.tick_ns, timer.said(now_ns, most_ns=most_ns))
         self._said = beacon
+        self._lacking.clear()
+        self._orders_ns = None
         if len(beacon.silent) < SILENT_MAX:
             self._rows.clear()
         self._rows.update((row.robot, row) for row in beacon.silent)
         return beacon if next_ns <= timer.least_ns else beacon._replace(next_ms=next_ns // NS_PER_MS)
 
+    def _tells_orders(self, beacon: Beacon, said: Beacon) -> bool:
+        """Whether it has other orders than `said` tells, or than others tell, and it is its turn to say so.
+
+        As all get them at once, all would say so at once, and all answer whoever does not have them yet.
+        """
+        if _marks(beacon) == _marks(said) and not self._lacking:
+            self._orders_ns = None
+            return False
+        if self._orders_ns is None:
+            self._orders_ns = beacon.time_ns
+        return beacon.time_ns - self._orders_ns >= self._orders_pause_ns
+
     def _has_news(self, beacon: Beacon, said: Beacon) -> bool:
         """Whether others do not know all that `beacon` tells, who have heard `said`."""
-        if self._is_missed or beacon.following is not said.following or self._tells_news(beacon):
-            return True
+        if self._is_missed or (said.following and not beacon.following) or self._tells_news(beacon):
+            return True  # that it begins to follow all would say at once, and is seen by where it goes
         minds = self.minds
         if minds is None:
             return beacon.unheard != said.unheard or beacon.overload != said.overload
@@ -124,7 +153,9 @@ class BeaconSchedule:
         if told != before:
             self._heard[beacon.robot] = told
             if told[0] != own:
-                self._timer.changed()
+                self._lacking.add(beacon.robot)
+            else:
+                self._lacking.discard(beacon.robot)
             if told[1] and (self.minds is None or beacon.robot in self.minds):
                 self._is_missed = True
 
@@ -133,13 +164,9 @@ def _marks(beacon: Beacon) -> _Marks:
     return beacon.mission_version, beacon.mission_tag, beacon.stop_version, beacon.resume_version
 
 
-def _presses(beacon: Beacon, said: Beacon) -> bool:
-    """Whether others go by what is not so any more, who have heard `said`: which orders it has, where it is.
-
-    Whether it follows those near it see from its hand states; the others from where it is.
-    """
-    if _marks(beacon) != _marks(said):
-        return True
+def _is_off(beacon: Beacon, said: Beacon) -> bool:
+    """Whether others look for it where it is not, who have heard `said`. Whether it follows those near it see
+    from its hand states; the others from where it is."""
     return abs(beacon.doubt - said.doubt) > SURE_M or _is_elsewhere(beacon, said)
 
 

@@ -54,6 +54,7 @@ class Deafness:
         robots: their ids.
         horizon_ns: who was not heard for so long is said to be not heard.
         hands_ns: within so long one robot sends two hand states.
+        seldom_ns: so much longer than those of who has something to tell beacons may be apart.
         sees_all: whether `present` is told of all of them; else it is taken that they are there, for those
             that are not, nobody hears.
         one_link: all come over the same, from a router: it may be that which nothing comes over.
@@ -65,6 +66,7 @@ class Deafness:
         horizon_ns: int,
         hands_ns: int = 0,
         *,
+        seldom_ns: int = 0,
         sees_all: bool = True,
         one_link: bool = False,
     ) -> None:
@@ -72,7 +74,7 @@ class Deafness:
         if not sees_all:
             for other in self._others.values():
                 other.token_ns = 0
-        self._heard_after_ns = horizon_ns + LATE_NS
+        self._heard_after_ns = horizon_ns + seldom_ns + LATE_NS
         self._no_hands_ns = max(SILENT_NS, 2 * hands_ns)
         self._now_ns = self._due_ns = 0
         self._link = _Other() if one_link else None

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 from math import hypot
 from typing import Any, Final, NamedTuple
 
-from agent.common.time import NS_PER_S
+from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
 from deploy.console.wording import robots
 
 SILENT_NS: Final = 2 * NS_PER_S
-"""Who has sent no beacon for so long is not heard; agents send some five a second."""
+"""Who has sent no beacon for so long after the next one was due is not heard."""
 SHOWN_M: Final = 0.05
 """Ways and doubts that are smaller are left out of words."""
 KEPT_NS: Final = 5 * NS_PER_S
@@ -99,7 +99,11 @@ class SilentBodies:
         if not self._newest:
             return []
         now_ns = max(beacon.time_ns for beacon in self._newest.values())
-        heard = {robot for robot, each in self._newest.items() if now_ns - each.time_ns <= SILENT_NS}
+        heard = {
+            robot
+            for robot, each in self._newest.items()
+            if now_ns - each.time_ns <= SILENT_NS + each.next_ms * NS_PER_MS
+        }
         deaf: dict[int, list[int]] = {}
         for sender in sorted(heard):
             for robot in self._newest[sender].unheard:

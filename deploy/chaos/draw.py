@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from itertools import count, islice
 from typing import Final, NamedTuple
 
+from agent.fleet.safety import BEACON_HORIZONS
 from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.profiles.cut_off import draw_cut_off
 from deploy.chaos.profiles.dead import draw_dead, draw_restarted
@@ -25,7 +26,9 @@ WIPED: Final = 0.3
 SELDOM: Final = 0.3
 """So many fleets say where they are as seldom as large ones do..."""
 SELDOM_S: Final = (0.4, 2.0)
-"""...with so long between two beacons."""
+"""...with so long between two beacons..."""
+SELDOMER: Final = 0.3
+"""...or with some times as long, more than is between two of who is given up that ought to speak at once."""
 
 
 class Profile(NamedTuple):
@@ -82,6 +85,8 @@ def _say_seldom(dice: Dice, tables: Tables) -> None:
     if dice.chance(SELDOM):
         horizon_s = tables.get("control", {}).get("prediction_horizon_s", SELDOM_S[1])
         longest_s = dice.between(SELDOM_S[0], min(SELDOM_S[1], horizon_s), 1)
+        if dice.chance(SELDOMER):
+            longest_s = round(BEACON_HORIZONS * longest_s, 1)
         tables.setdefault("avoidance", {})["beacon_interval_max_s"] = longest_s
 
 

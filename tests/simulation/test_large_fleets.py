@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from math import sqrt
 
 from agent.common.time import NS_PER_S
@@ -9,6 +10,7 @@ from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
 from agent.messages.codec import decode
 from agent.messages.types import Beacon
+from deploy.analysis.lattice import lattice as driving_lattice
 from deploy.simulate.simulation import Simulation
 
 SIDE = 9
@@ -60,3 +62,24 @@ def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
     assert max(beacon.next_ms for beacon in told) > 1000
     assert not any(beacon.silent for beacon in told)
     assert not any(agent._peers.whereabouts._beliefs for agent in simulation.agents)
+
+
+def test_nor_while_they_drive_and_they_do_not_speak_all_at_once() -> None:
+    """They begin together, in the tick of the mission, and pass each other on their ways to their places."""
+    said: list[Beacon] = []
+
+    def sink(time_ns: int, key: str, payload: bytes) -> None:
+        if key.endswith("/beacon"):
+            message = decode(payload)
+            assert isinstance(message, Beacon)
+            said.append(message)
+
+    fleet = resolved(parse_fleet(driving_lattice("many", 60, duration_s=5.0), source="here"))
+    simulation = Simulation(fleet, sink)
+    simulation.run()
+    driving = [beacon for beacon in said if beacon.time_ns > simulation.epoch_ns]
+    assert {beacon.robot for beacon in driving} == set(fleet.ids)
+    assert not any(beacon.silent or beacon.unheard for beacon in driving)
+    begun_ns = simulation.epoch_ns + 2 * NS_PER_S
+    settled = Counter(each.time_ns for each in driving if begun_ns < each.time_ns < begun_ns + 2 * NS_PER_S)
+    assert max(settled.values()) < 4.0 * settled.total() / (2.0 * fleet.fleet.rate_hz)

@@ -268,6 +268,11 @@ class Peers:
         return [peer.robot for peer in new if not (peer.is_gone or peer.never_came)]
 
     @property
+    def all_heard(self) -> bool:
+        """Whether every other robot has said itself where it is."""
+        return all(peer.direct_ns != NEVER for peer in self._known.values())
+
+    @property
     def was_there(self) -> bool:
         """Whether it has listened since the drive began."""
         return NEVER < self._began_ns <= self.forecast.epoch_ns
@@ -281,10 +286,15 @@ class Peers:
         before = peer.message
         if peer.hand_next_ns and since_ns <= peer.hand_next_ns + OUTAGE_NS:  # of two one says how late it is
             self._note_promised(peer, beacon, now_ns, expected_ns)
-        elif self._beacon_ns < since_ns <= OUTAGE_NS:
-            if peer.lateness.heeds or self.is_seldom(peer) or expected_ns > self._beacon_ns:
+        elif since_ns <= OUTAGE_NS:  # its hand states say how late it is, as long as they come
+            seldom = self.is_seldom(peer) or expected_ns > self._beacon_ns
+            if since_ns > self._beacon_ns:
+                seldom = seldom or peer.lateness.heeds
+            elif peer.listened:
+                seldom = False
+            if seldom:
                 self._expect_beacon(peer)
-        elif since_ns > OUTAGE_NS:  # else its hand states say how late it is
+        else:
             age_ns = now_ns + peer.clock.used_ns - time_ns
             gap_ns = None if peer.direct_ns == NEVER else time_ns - peer.direct_ns
             self._note(peer, beacon, now_ns, age_ns, gap_ns, expected_ns)

@@ -43,16 +43,41 @@ def test_an_interval_may_be_shortened_for_a_time() -> None:
     assert timer.said(6700, most_ns=1) == LEAST
 
 
+def test_each_has_its_share_of_the_intervals_until_they_are_as_long_as_they_get() -> None:
+    assert said_at(TrickleTimer(LEAST, MOST, (0.5, 0.25)), 5000) == [0, 200, 600, 1200, 1600, 3200, 4800]
+    assert said_at(TrickleTimer(LEAST, MOST, (1.0, 0.01)), 5000) == [0, 200, 600, 1400, 1600, 3200, 4800]
+    again = [0, 200, 600, 1200, 1600, 2000, 2200, 2600, 3200, 3600]
+    assert said_at(TrickleTimer(LEAST, MOST, (0.5, 0.25)), 5000, (2000,)) == again
+
+
+def test_of_some_changes_it_is_not_said_again_so_soon() -> None:
+    timer = TrickleTimer(LEAST, MOST)
+    said_at(timer, 3100)
+    timer.changed(800)
+    assert timer.is_due(3200)
+    assert (timer.said(3200), timer.said(4000)) == (800, MOST)
+    timer.changed()
+    timer.changed(800)
+    assert timer.said(5600) == LEAST, "what is more urgent decides"
+
+
 def test_impossible_intervals_are_refused() -> None:
+    for shares in ((0.0, 1.0), (1.0, 1.1)):
+        with pytest.raises(ValueError, match="shares = "):
+            TrickleTimer(5, 5, shares)
     with pytest.raises(ValueError, match="least_ns = 0"):
         TrickleTimer(0, 5)
     with pytest.raises(ValueError, match="most_ns = 4"):
         TrickleTimer(5, 4)
 
 
-@given(st.lists(st.integers(0, 20_000)), st.sampled_from([10, 50, 70, 100]))
-def test_what_was_promised_is_kept(changes: list[int], step: int) -> None:
-    timer = TrickleTimer(LEAST, MOST)
+@given(
+    st.lists(st.integers(0, 20_000)),
+    st.sampled_from([10, 50, 70, 100]),
+    st.tuples(*[st.floats(0.0, 1.0, exclude_min=True)] * 2),
+)
+def test_what_was_promised_is_kept(changes: list[int], step: int, shares: tuple[float, float]) -> None:
+    timer = TrickleTimer(LEAST, MOST, shares)
     promised = last = None
     for now in range(0, 20_000, step):
         if any(now - step < change <= now for change in changes):

@@ -26,8 +26,12 @@ def beacon(robot: int, now_ns: int, unheard: tuple[int, ...] = ()) -> Beacon:
 class Bench:
     """What a robot hears of robots 2, 3 and 4, five times a second."""
 
-    def __init__(self, *, present: tuple[int, ...] = (2, 3, 4), one_link: bool = False) -> None:
-        self.deafness = Deafness((2, 3, 4), HORIZON_NS, sees_all=not one_link, one_link=one_link)
+    def __init__(
+        self, *, present: tuple[int, ...] = (2, 3, 4), one_link: bool = False, seldom_ns: int = 0
+    ) -> None:
+        self.deafness = Deafness(
+            (2, 3, 4), HORIZON_NS, seldom_ns=seldom_ns, sees_all=not one_link, one_link=one_link
+        )
         self.now_ns = T0
         self.deafness.look(T0, ())
         for robot in present:
@@ -60,6 +64,13 @@ def test_who_is_heard_by_others_and_not_here_is_found() -> None:
     bench = Bench()
     assert bench.run(10) == []
     assert bench.run((HORIZON_NS + LATE_NS) / NS_PER_S, (3, 4)) == []
+    assert bench.run(1.0, (3, 4)) == [2]
+
+
+def test_of_whom_beacons_are_seldom_nothing_may_come_for_longer() -> None:
+    bench = Bench(seldom_ns=3 * NS_PER_S)
+    assert bench.run(10) == []
+    assert bench.run((HORIZON_NS + LATE_NS) / NS_PER_S + 2.9, (3, 4)) == []
     assert bench.run(1.0, (3, 4)) == [2]
 
 

@@ -38,6 +38,12 @@ def test_a_fleet_that_hears_itself_has_none() -> None:
     assert heard(beacon(1, 5.0), beacon(2, 5.1)).bodies() == []
 
 
+def test_nor_has_one_whose_robots_speak_when_they_said() -> None:
+    said = beacon(1, 5.0)._replace(next_ms=4000), beacon(2, 10.9)
+    assert heard(*said).bodies() == []
+    assert [body.robot for body in heard(*said, beacon(2, 11.1)).bodies()] == [1]
+
+
 def test_who_was_heard_last_says_where_it_is() -> None:
     """Robot 6 died at 4 s; robot 2 heard it a second longer than robot 1."""
     found = heard(

@@ -345,6 +345,18 @@ def test_within_what_a_robot_said_it_is_not_silent():
     assert peer.is_heard(seldom(known, due))
 
 
+def test_nor_is_one_that_was_listened_to_until_just_before_it_said_it():
+    known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S)
+    known.listen({2}, T0)
+    for k in range(8):
+        heard(known, message(2, k, T0 + k * PERIOD), now_ns=T0 + (k + 1) * PERIOD)
+    known.listen(set(), T0 + 8 * PERIOD)
+    known.ignore(2)
+    due = seldom(known, T0 + 9 * PERIOD)
+    assert known.get(2).is_heard(due)
+    assert not known.get(2).is_heard(due + S)
+
+
 def test_where_messages_are_lost_more_is_forgiven_one_that_speaks_seldom():
     """So that two that are lost in a row do not make it silent, nor ten."""
     known, peer, stamp = peers(beacon_ns=S // 5, beacon_max_ns=2 * S), None, T0
