@@ -86,7 +86,9 @@ class Agent:
         self._peers = self._controller.peers
         self._rest_period_ns = pace.rest_period_ns(fleet)
         self._rests = False
-        self._overload = Overload(pace.steps(fleet), fleet.period_ns, pace.gap_ns(fleet))
+        self._overload = Overload(
+            pace.steps(fleet), fleet.period_ns, pace.gap_ns(fleet), pace.standing_period_ns(fleet)
+        )
         self._stood_until_ns = 0
         self._speed_share = partial(pace.speed_share, fleet)
         self._peers.missed_ns = self._overload.missed_ns

@@ -18,6 +18,8 @@ PERIOD_MAX_S: Final = 0.25
 REST_PERIOD_MAX_S: Final = 0.4
 """In a large fleet, while no mission is near."""
 STEPS_MAX: Final = 8
+STANDING_SHARE: Final = 0.7
+"""Wrenches come at the latest after so large a share of the plant's patience while all stand."""
 _ROUNDING: Final = 1e-9
 
 
@@ -39,6 +41,19 @@ def rest_period_ns(fleet: Fleet) -> int:
     while 2 * period_ns <= REST_PERIOD_MAX_S * NS_PER_S * (1.0 + _ROUNDING):
         period_ns *= 2
     return period_ns if period_ns > fleet.period_ns else 0
+
+
+def standing_period_ns(fleet: Fleet) -> int:
+    """Time between two ticks of an agent while all stand because a machine is overloaded, ns, a power of two
+    of periods. Who stands needs no law, but its plant and its neighbours need to know that it is there; and
+    who has too much to do must have less of it then, or it never ends."""
+    most_s = min(
+        PERIOD_MAX_S, STANDING_SHARE * min(fleet.control.plant_timeout_s, fleet.control.wrench_timeout_s)
+    )
+    period_ns = fleet.period_ns
+    while 2 * period_ns <= most_s * NS_PER_S * (1.0 + _ROUNDING):
+        period_ns *= 2
+    return period_ns
 
 
 def gap_ns(fleet: Fleet) -> int:

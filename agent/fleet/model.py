@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import ceil
 from typing import Final
 
 from agent.common.errors import Error
@@ -32,7 +31,6 @@ from agent.fleet.safety import (
     BEACON_HORIZONS,
     BEACONS_HZ,
     BEACONS_MANY,
-    ORDERS_HZ,
     AvoidanceSection,
     GeofenceSection,
     ObstacleSection,
@@ -197,13 +195,6 @@ class Fleet:
         """Control periods in which a robot hears `LISTEN_BEACONS` beacons of every other, or the one that
         comes seldom."""
         return LISTEN_BEACONS * self.beacon_rounds + self.beacon_rounds_max - self.beacon_rounds
-
-    @property
-    def gathering_rounds(self) -> int:
-        """Control periods from a mission until a robot has heard `LISTEN_BEACONS` beacons of every other that
-        has it: in a large fleet they say so in turn."""
-        turns_s = len(self.robots) / ORDERS_HZ if self.is_large else 0.0
-        return LISTEN_BEACONS * self.beacon_rounds + ceil(turns_s * self.fleet.rate_hz)
 
     @property
     def period_ns(self) -> int:

@@ -53,6 +53,7 @@ class Overload:
         steps: so many times the period may double (`agent.control.pace.steps`).
         period_ns: of the full rate.
         gap_ns: what drives on for longer without a decision is out of control.
+        standing_ns: the period while all stand for it (`agent.control.pace.standing_period_ns`).
 
     Attributes:
         idle: whether there is nothing to look at.
@@ -61,8 +62,9 @@ class Overload:
         late_ticks: how many of its own ticks began too late, since the start.
     """
 
-    def __init__(self, steps: int, period_ns: int, gap_ns: int) -> None:
+    def __init__(self, steps: int, period_ns: int, gap_ns: int, standing_ns: int = 0) -> None:
         self._steps, self._full_ns, self._gap_ns = steps, period_ns, gap_ns
+        self._standing_ns = standing_ns
         self.idle = True
         self.wanted = self.level = self.others = 0
         self.late_ticks = 0
@@ -94,7 +96,8 @@ class Overload:
     @property
     def period_ns(self) -> int:
         """The period now."""
-        return self._full_ns << self.step
+        period_ns = self._full_ns << self.step
+        return max(period_ns, self._standing_ns) if self.stands else period_ns
 
     def late(self, now_ns: int, late_ns: int) -> None:
         """Takes that the tick at `now_ns` begins so much after its deadline."""
@@ -104,8 +107,9 @@ class Overload:
         if len(self._stalls) > 2 * STALLS_MAX:
             del self._stalls[:STALLS_MAX]
         too_late = 2 * late_ns > self.period_ns
-        # At the next higher rate, where the period is half as long, it would be.
-        would_be = 4 * late_ns > self.period_ns and 0 < self.level <= self._steps
+        # At the next higher rate, where the period is shorter, it would be.
+        next_ns = self._full_ns << self._steps if self.stands else self.period_ns // 2
+        would_be = 2 * late_ns > next_ns and self.level and self.level != self._steps + 1
         if too_late:
             self._late.append(now_ns)
             self.late_ticks += 1

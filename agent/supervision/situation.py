@@ -69,7 +69,7 @@ class Situation:
         deadman_s = fleet.supervision.deadman_s
         self._deadman_ns = None if deadman_s is None else round(deadman_s * NS_PER_S)
         self._alone = not controller.proximity.enabled or len(fleet.ids) == 1
-        self._listening_ns, self._is_large = fleet.listening_rounds * fleet.period_ns, fleet.is_large
+        self._listening_ns = fleet.listening_rounds * fleet.period_ns
         self._beacon_ns = fleet.beacon_rounds_max * fleet.period_ns
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
@@ -223,7 +223,7 @@ class Situation:
             return ""
         peers = self._controller.peers
         told_ns = max(0, peers.rows.rounds_to_tell - 1) * self._beacon_ns
-        if now_ns < (self._listened_ns or 0) + told_ns and not (self._is_large and peers.all_heard):
+        if now_ns < (self._listened_ns or 0) + told_ns:
             return "hears who is near"
         unknown = ", ".join(f"robot {robot}" for robot in peers.unknown)
         return f"nobody heard tells where to look for {unknown}" if unknown else ""

@@ -91,7 +91,7 @@ class LocalRun:
     @property
     def _listening_ns(self) -> int:
         fleet = self._fleet
-        return (fleet.gathering_rounds + LISTEN_MORE) * fleet.period_ns
+        return (fleet.listening_rounds + LISTEN_MORE) * fleet.period_ns
 
     @contextmanager
     def _started(self) -> Iterator[OperatorBus]:

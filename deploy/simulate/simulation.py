@@ -222,7 +222,7 @@ def _warm_up_periods(fleet: Fleet, ahead_ns: int) -> int:
     """Periods from the start to the earliest epoch, which the clock that is furthest ahead shows first."""
     if not fleet.avoidance.enabled or len(fleet.ids) == 1:
         return WARM_UP_PERIODS
-    return max(WARM_UP_PERIODS, fleet.gathering_rounds + 1 + ceil(ahead_ns / fleet.period_ns))
+    return max(WARM_UP_PERIODS, fleet.listening_rounds + 1 + ceil(ahead_ns / fleet.period_ns))
 
 
 class Simulation:

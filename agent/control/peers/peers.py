@@ -268,11 +268,6 @@ class Peers:
         return [peer.robot for peer in new if not (peer.is_gone or peer.never_came)]
 
     @property
-    def all_heard(self) -> bool:
-        """Whether every other robot has said itself where it is."""
-        return all(peer.direct_ns != NEVER for peer in self._known.values())
-
-    @property
     def was_there(self) -> bool:
         """Whether it has listened since the drive began."""
         return NEVER < self._began_ns <= self.forecast.epoch_ns

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.common.time import NS_PER_S
 from agent.control import pace
 from agent.control.safety_distances import LOWEST_SHARE, barrier_rate
 from agent.fleet.loading import load_fleet
@@ -55,6 +56,22 @@ def test_another_s_law_falls_only_where_the_file_says_so() -> None:
     assert pace.steps(own) == 0
     assert "of this control.law" in pace.why_not(own, 1)
     assert pace.steps(replace(own, control=replace(own.control, rate_min_hz=10.0))) == 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "period_s"),
+    [
+        ((), 0.16),
+        (("control.wrench_timeout_s=0.2",), 0.08),
+        (("fleet.rate_hz=10", "control.wrench_timeout_s=0.3"), 0.2),
+        (("fleet.rate_hz=4", "control.wrench_timeout_s=0.75", "control.plant_timeout_s=0.75"), 0.25),
+    ],
+)
+def test_who_stands_for_an_overload_decides_as_rarely_as_plant_and_neighbours_bear(
+    settings: tuple[str, ...], period_s: float
+) -> None:
+    made = fleet("control.plant_timeout_s=0.3", "control.wrench_timeout_s=0.3", *settings)
+    assert pace.standing_period_ns(made) == round(period_s * NS_PER_S)
 
 
 def test_the_lowest_rate_is_no_higher_than_the_rate() -> None:

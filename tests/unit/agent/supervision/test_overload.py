@@ -20,8 +20,10 @@ GAP = NS_PER_S // 4
 class Loop:
     """Ticks at the period that `Overload` gives, each so late as is asked for."""
 
-    def __init__(self, steps: int = STEPS, period_ns: int = PERIOD, gap_ns: int = GAP) -> None:
-        self.overload = Overload(steps, period_ns, gap_ns)
+    def __init__(
+        self, steps: int = STEPS, period_ns: int = PERIOD, gap_ns: int = GAP, standing_ns: int = 0
+    ) -> None:
+        self.overload = Overload(steps, period_ns, gap_ns, standing_ns)
         self.now = NS_PER_S
         self.levels: list[tuple[float, int]] = []
 
@@ -128,6 +130,18 @@ def test_where_even_that_does_not_do_it_stands_and_drives_again_by_steps() -> No
     assert other.overload.stands
     told = "overloaded: the machine of robot 7 runs late: 25 Hz, stands until it does not"
     assert other.overload.text(other.now) == told
+
+
+def test_who_stands_decides_rarely_until_it_would_keep_the_rate_at_which_it_drives() -> None:
+    """Else it would have as much to do as when it drove, and never come back."""
+    loop = Loop(steps=0, period_ns=5 * PERIOD, standing_ns=10 * PERIOD)
+    loop.run(5.0, lambda _: 3.0)
+    assert loop.overload.stands
+    assert loop.overload.period_ns == 10 * PERIOD
+    loop.run(5.0, lambda _: 0.3)  # 60 ms: at 10 Hz that is more than half a period
+    assert loop.overload.stands
+    loop.until_calm(within=30.0)
+    assert loop.overload.period_ns == 5 * PERIOD
 
 
 def test_a_few_long_gaps_are_none() -> None:
