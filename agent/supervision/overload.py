@@ -27,9 +27,10 @@ LATE_LEAST: Final = 3
 """So large a share of them, while the robot drives and while it does not, and so many at least, are too many:
 one hitch is none. As many gaps between decisions that are too long are too many to drive on at all."""
 CALM_NS: Final = 3 * NS_PER_S // 2
+CALM_PERIODS: Final = 12
 CALM_MAX_NS: Final = 60 * NS_PER_S
-"""After so long in which it would have kept the next higher rate it wants that again. Where it then cannot,
-it waits twice as long the next time, up to the second of these."""
+"""After so long, and so many periods, in which it would have kept the next higher rate it wants that again.
+Where it then cannot, it waits twice as long the next time, up to the last of these."""
 RELAPSE_NS: Final = 5 * NS_PER_S
 """A rate that was kept for longer than this, and the time that was waited for it, did not come too soon."""
 CALM_SHARE: Final = 0.02
@@ -99,6 +100,11 @@ class Overload:
         period_ns = self._full_ns << self.step
         return max(period_ns, self._standing_ns) if self.stands else period_ns
 
+    @property
+    def _calm_ns(self) -> int:
+        """So long it must be calm until it wants a higher rate again: that few ticks are in time says little."""
+        return max(self._patience_ns, CALM_PERIODS * self.period_ns)
+
     def late(self, now_ns: int, late_ns: int) -> None:
         """Takes that the tick at `now_ns` begins so much after its deadline."""
         self.idle = False
@@ -142,7 +148,7 @@ class Overload:
         share = LATE_SHARE if drives else LATE_SHARE_AT_REST
         if len(self._late) >= max(LATE_LEAST, share * window_ns / self.period_ns):
             self._rise(now_ns, self._steps + (2 if len(self._gaps) >= LATE_LEAST else 1))
-        elif self.wanted and self.wanted >= self.level and now_ns - self._since_ns >= self._patience_ns:
+        elif self.wanted and self.wanted >= self.level and now_ns - self._since_ns >= self._calm_ns:
             self._fall(now_ns)
         for robot, (_, until_ns) in tuple(self._others.items()):
             if now_ns > until_ns:
@@ -173,9 +179,10 @@ class Overload:
 
     def _fall(self, now_ns: int) -> None:
         """Wants the next higher rate again, if it would have kept it for long enough."""
-        while self._tight and self._tight[0] <= now_ns - self._patience_ns:
+        calm_ns = self._calm_ns
+        while self._tight and self._tight[0] <= now_ns - calm_ns:
             self._tight.popleft()
-        if len(self._tight) <= 1 + CALM_SHARE * self._patience_ns / self.period_ns:
+        if len(self._tight) <= 1 + CALM_SHARE * calm_ns / self.period_ns:
             self.wanted -= 1
             self._fell_ns = now_ns
             self._forget(now_ns)
