@@ -102,7 +102,7 @@ class Overload:
 
     @property
     def _calm_ns(self) -> int:
-        """So long it must be calm until it wants a higher rate again: that few ticks are in time says little."""
+        """So long it must be calm until it wants a higher rate again: few ticks in time say little."""
         return max(self._patience_ns, CALM_PERIODS * self.period_ns)
 
     def late(self, now_ns: int, late_ns: int) -> None:
