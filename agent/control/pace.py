@@ -37,9 +37,7 @@ def rest_period_ns(fleet: Fleet) -> int:
     start."""
     if not fleet.is_large:
         return 0
-    period_ns = fleet.period_ns
-    while 2 * period_ns <= REST_PERIOD_MAX_S * NS_PER_S * (1.0 + _ROUNDING):
-        period_ns *= 2
+    period_ns = _doubled(fleet, REST_PERIOD_MAX_S)
     return period_ns if period_ns > fleet.period_ns else 0
 
 
@@ -47,9 +45,12 @@ def standing_period_ns(fleet: Fleet) -> int:
     """Time between two ticks of an agent while all stand because a machine is overloaded, ns, a power of two
     of periods. Who stands needs no law, but its plant and its neighbours need to know that it is there; and
     who has too much to do must have less of it then, or it never ends."""
-    most_s = min(
-        PERIOD_MAX_S, STANDING_SHARE * min(fleet.control.plant_timeout_s, fleet.control.wrench_timeout_s)
-    )
+    patience_s = min(fleet.control.plant_timeout_s, fleet.control.wrench_timeout_s)
+    return _doubled(fleet, min(PERIOD_MAX_S, STANDING_SHARE * patience_s))
+
+
+def _doubled(fleet: Fleet, most_s: float) -> int:
+    """The full rate's period, ns, doubled as often as it stays at most `most_s`."""
     period_ns = fleet.period_ns
     while 2 * period_ns <= most_s * NS_PER_S * (1.0 + _ROUNDING):
         period_ns *= 2

@@ -21,10 +21,10 @@ CORNERS_MAX: Final = 200
 BEACONS_MANY: Final = 24
 """Robots of a larger fleet tell where they are less often, where nothing is new of it..."""
 BEACONS_HZ: Final = 25
-"""...so that each hears so many beacons a second, as many as of one neighbour's hand states at 50 Hz;"""
+"""...so that each hears so many beacons a second, as many as of one neighbour's hand states at 50 Hz."""
 BEACON_HORIZONS: Final = 2.0
-"""so many times as long as without any message of it somebody is given up at the most: it is given up as much
-later of whom beacons are seldom."""
+"""Two beacons of one robot are at most so many prediction horizons apart: who tells that it will be silent is
+given up as much later."""
 ORDERS_HZ: Final = 200
 """So many a second of all robots of such a fleet say that they have an order, or another one than somebody
 says: all get it at once, statuses acknowledge it, and who lacks it needs to hear of it from one of them."""

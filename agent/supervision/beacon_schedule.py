@@ -5,6 +5,7 @@ grow with the fleet. There others carry a robot forward at the velocity that it 
 IEEE 1278.1), and its next beacon comes when it is elsewhere by more than they allow for (U2), has something
 else to tell, or finds that others lack what it has told; after that again soon, in case that was lost; and
 after `Fleet.beacon_rounds_max`, or `WAY_M`, at the latest. Each beacon says until when the next one comes.
+What happens to all at once, as an order does, they tell in turn, and again each at its own times.
 """
 
 from __future__ import annotations
@@ -87,15 +88,15 @@ class BeaconSchedule:
             return beacon
         timer, now_ns = self._timer, beacon.time_ns
         said = self._said
-        if said is None or self._tells_orders(beacon, said):
-            timer.changed(self._again_ns)
         if said is None:
-            pass
+            timer.changed(self._again_ns)
         elif _is_off(beacon, said) or beacon.overload > max(said.overload, self.level):
             timer.changed()
         elif now_ns - self._hurried_ns >= self._pause_ns and self._has_news(beacon, said):
             self._hurried_ns, self._is_missed = now_ns, False
             timer.changed()
+        if said is not None and self._tells_orders(beacon, said):
+            timer.changed(self._again_ns)
         if not timer.is_due(now_ns, max(self.tick_ns, timer.least_ns)):
             return None
         most_ns = RELAY_NS if any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent) else timer.most_ns

@@ -7,6 +7,7 @@ from math import sqrt
 
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages.codec import decode
 from agent.messages.types import Beacon
@@ -33,6 +34,21 @@ formation = {{ edges = {edges}, offsets = {[list(place) for place in places]}, s
 """
 
 
+def driven(fleet: Fleet) -> tuple[Simulation, list[Beacon]]:
+    """A whole drive, and the beacons of all."""
+    said: list[Beacon] = []
+
+    def sink(time_ns: int, key: str, payload: bytes) -> None:
+        if key.endswith("/beacon"):
+            message = decode(payload)
+            assert isinstance(message, Beacon)
+            said.append(message)
+
+    simulation = Simulation(fleet, sink)
+    simulation.run()
+    return simulation, said
+
+
 def test_every_robot_hears_the_beacons_of_all_others() -> None:
     """Once they know the mission 81 of them say one in two ticks: some 40 at a time, while others of the same
     tick come already. Then less often, but as often as they must."""
@@ -47,17 +63,8 @@ def test_every_robot_hears_the_beacons_of_all_others() -> None:
 
 def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
     """Nor is it worked out where he might stand: of many robots that is the most that a tick costs."""
-    told: list[Beacon] = []
-
-    def sink(time_ns: int, key: str, payload: bytes) -> None:
-        if key.endswith("/beacon"):
-            message = decode(payload)
-            assert isinstance(message, Beacon)
-            told.append(message)
-
     fleet = resolved(parse_fleet(lattice(), source="here"))
-    simulation = Simulation(fleet, sink)
-    simulation.run()
+    simulation, told = driven(fleet)
     assert len(told) > 3 * len(fleet.ids)
     assert max(beacon.next_ms for beacon in told) > 1000
     assert not any(beacon.silent for beacon in told)
@@ -66,17 +73,8 @@ def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
 
 def test_nor_while_they_drive_and_they_do_not_speak_all_at_once() -> None:
     """They begin together, in the tick of the mission, and pass each other on their ways to their places."""
-    said: list[Beacon] = []
-
-    def sink(time_ns: int, key: str, payload: bytes) -> None:
-        if key.endswith("/beacon"):
-            message = decode(payload)
-            assert isinstance(message, Beacon)
-            said.append(message)
-
     fleet = resolved(parse_fleet(driving_lattice("many", 60, duration_s=5.0), source="here"))
-    simulation = Simulation(fleet, sink)
-    simulation.run()
+    simulation, said = driven(fleet)
     driving = [beacon for beacon in said if beacon.time_ns > simulation.epoch_ns]
     assert {beacon.robot for beacon in driving} == set(fleet.ids)
     assert not any(beacon.silent or beacon.unheard for beacon in driving)

@@ -281,13 +281,10 @@ class Peers:
         before = peer.message
         if peer.hand_next_ns and since_ns <= peer.hand_next_ns + OUTAGE_NS:  # of two one says how late it is
             self._note_promised(peer, beacon, now_ns, expected_ns)
-        elif since_ns <= OUTAGE_NS:  # its hand states say how late it is, as long as they come
-            seldom = self.is_seldom(peer) or expected_ns > self._beacon_ns
-            if since_ns > self._beacon_ns:
-                seldom = seldom or peer.lateness.heeds
-            elif peer.listened:
-                seldom = False
-            if seldom:
+        elif since_ns <= OUTAGE_NS:
+            hands_come = since_ns <= self._beacon_ns  # they say how late it is, while it is listened to
+            promises = self.is_seldom(peer) or expected_ns > self._beacon_ns
+            if (promises and not (hands_come and peer.listened)) or (peer.lateness.heeds and not hands_come):
                 self._expect_beacon(peer)
         else:
             age_ns = now_ns + peer.clock.used_ns - time_ns
