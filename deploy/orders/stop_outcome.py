@@ -73,6 +73,10 @@ class Stopping:
         """Processes that are down and find the stop when they come up, by robot and role: by which way."""
         self._states: dict[int, tuple[str, int]] = {}
         """What each agent said last: its state, and the version of the stop or resume that it has."""
+        self._kept: dict[int, int] = {}
+        """By robot: the version of the last stop of which its computer said that its agent has kept it."""
+        self._taken: set[int] = set()
+        """Robots whose agent has acknowledged the stop, be it before it was outdone."""
         self._agents: dict[int, _Brakes] = {}
         self._plants: dict[int, _Brakes] = {}
         self._heard_plants: set[int] = set()
@@ -81,10 +85,12 @@ class Stopping:
         """Takes a message that came on `key`, by a way, after the stop was sent first."""
         if type(message) is Status and key == key_expressions.status(self._name, message.robot):
             self.show_clock(now_ns, message.robot, message.time_ns)
-            version = message.order_version
-            if not self._is_believed_by(message.robot) and message.reason == _reason(self.message):
-                version = self.message.version  # it brakes by it, and can acknowledge no such version
-            self._hear_agent(now_ns, message.robot, message.state, version, way)
+            version, by_it = message.order_version, message.reason == _reason(self.message)
+            if by_it and not self._is_believed_by(message.robot):
+                version = self.message.version  # it can acknowledge no such version
+            if message.state in BRAKING:  # it may have said so before its computer said more
+                version = max(version, self._kept.get(message.robot, -1))
+            self._hear_agent(now_ns, message.robot, message.state, version, way, by_it=by_it)
         elif type(message) is PlantState and key == key_expressions.plant_state(self._name, message.robot):
             self._heard_plants.add(message.robot)
             self._down.pop((message.robot, "plant"), None)
@@ -111,6 +117,8 @@ class Stopping:
         """Takes what a robot's computer says of one of its processes: its state, and the version of the stop
         that it has kept, -1 without any."""
         if role == "agent":
+            if state in BRAKING:
+                self._kept[robot] = max(version, self._kept.get(robot, -1))
             self._hear_agent(now_ns, robot, state, version, way)
             return
         self._heard_plants.add(robot)
@@ -155,15 +163,27 @@ class Stopping:
         its_ns = self.clocks.at(robot, self._begun_ns)
         return its_ns is None or can_be(self.message.version, its_ns)
 
-    def _hear_agent(self, now_ns: int, robot: int, state: str, version: int, way: str) -> None:
+    def _hear_agent(
+        self, now_ns: int, robot: int, state: str, version: int, way: str, *, by_it: bool = False
+    ) -> None:
+        """Takes what an agent says, or is said of it.
+
+        Args:
+            by_it: it brakes by this stop, though it may not have kept it yet, which it then acknowledges.
+        """
         if robot not in self._ids:
             return
         self._down.pop((robot, "agent"), None)
         self._states[robot] = state, version
         before = self.message
-        if robot not in self._agents:
+        if robot not in self._taken:
             self.has_had(robot, version)
-        if self.message is before and self._obeys(robot):
+            if state not in BRAKING:
+                self._agents.pop(robot, None)
+        obeys = self.message is before and self._obeys(robot)
+        if obeys:
+            self._taken.add(robot)
+        if obeys or (by_it and state in BRAKING):
             self._agents.setdefault(robot, _Brakes(now_ns, state, way))
 
     def _obeys(self, robot: int) -> bool:
@@ -174,6 +194,11 @@ class Stopping:
     def stands_by(self, robot: int) -> bool:
         """Whether agent and plant of a robot both brake."""
         return self._obeys(robot) and robot in self._plants
+
+    @property
+    def is_being_kept(self) -> bool:
+        """Whether a robot's agent brakes by the stop, which it has yet to keep and acknowledge."""
+        return any(not self._obeys(robot) for robot in self._agents)
 
     @property
     def done(self) -> bool:
@@ -232,9 +257,14 @@ class Stopping:
         (state, version), brakes = self._states[robot], self._agents.get(robot)
         if self._obeys(robot) and brakes is not None:
             return f"{state} after {self._ms(brakes)}"
-        if brakes is not None and state in BRAKING and version < self.message.version:
-            return f"{state} after {self._ms(brakes)}, by an earlier stop: it has not taken the last one yet"
-        if brakes is not None:
+        if brakes is not None and state in BRAKING:
+            missing = (
+                "by an earlier stop: it has not taken the last one yet"
+                if robot in self._taken
+                else "and has not kept the stop yet: started again, it would not know of it"
+            )
+            return f"{state} after {self._ms(brakes)}, {missing}"
+        if brakes is not None and version > self.message.version:
             return f"{state}: another operator has let it drive again"
         if state in BRAKING and version < 0:
             return f"{state}: its agent has kept no order, so by which is not known"

@@ -24,7 +24,8 @@ from deploy.session.session import ANSWER_S, INBOX, Session
 
 SEND_PERIOD_S: Final = 0.05
 WAIT_S: Final = 10.0
-"""A way that is slow, such as ssh to a host that is far away, is waited for so long."""
+"""What is slow is waited for so long: a way such as ssh to a host that is far away, and who brakes but has
+not kept the stop yet, on a machine that has too much to do."""
 
 
 class Way(Protocol):
@@ -148,9 +149,11 @@ def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]
 
     while not stopping.settled:
         waited_s = time.monotonic() - begun
-        if waited_s >= WAIT_S or (waited_s >= ANSWER_S and not any(way.busy for way in ways)):
-            look()  # a way may have told its last between the look before and its end
-            return
+        if waited_s >= ANSWER_S:
+            more = waited_s < WAIT_S and (stopping.is_being_kept or any(way.busy for way in ways))
+            if not more:
+                look()  # a way may have told its last between the look before and its end
+                return
         if session is not None:
             session.wait(look, SEND_PERIOD_S)
             session.send()

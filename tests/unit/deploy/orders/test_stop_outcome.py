@@ -19,9 +19,11 @@ def stopping(reason: str = "") -> Stopping:
     return Stopping(FLEET, EPOCH, reason)
 
 
-def agent(made: Stopping, robot: int, after_ms: int, state: str, orders: int | None = None) -> None:
+def agent(
+    made: Stopping, robot: int, after_ms: int, state: str, orders: int | None = None, reason: str = ""
+) -> None:
     version = made.message.version if orders is None else orders
-    status = Status(robot, 1, EPOCH, state, "", "", 1, version, (), (), (), ())
+    status = Status(robot, 1, EPOCH, state, "", reason, 1, version, (), (), (), ())
     made.feed(EPOCH + after_ms * MS, key_expressions.status("square", robot), status)
 
 
@@ -97,6 +99,58 @@ def test_a_leave_that_is_given_after_it_is_not() -> None:
     assert made.outcome(4) == (
         "robot 4: running: another operator has let it drive again, its plant does not brake"
     )
+
+
+def test_it_brakes_since_it_said_so_not_since_its_disk_has_the_stop() -> None:
+    made = stopping("a person")
+    brake(made, *FLEET.ids[1:])
+    plant(made, 1, 10, driving=False)
+    agent(made, 1, 20, "stopping", 0, "stop: somebody else")
+    assert "not taken" in made.outcome(1)
+    agent(made, 1, 30, "stopping", 0, "stop: a person")
+    assert not made.done
+    assert made.outcome(1) == (
+        "robot 1: stopping after 30 ms, and has not kept the stop yet: started again, it would not know of "
+        "it, its plant brakes after 10 ms"
+    )
+    agent(made, 1, 900, "stopped", reason="stop: a person")
+    assert made.done
+    assert made.outcome(1).startswith("robot 1: stopped after 30 ms, ")
+
+
+def test_who_drives_again_before_it_has_kept_the_stop_does_not_brake() -> None:
+    made = stopping()
+    brake(made, *FLEET.ids[1:])
+    plant(made, 1, 10, driving=False)
+    agent(made, 1, 30, "stopping", 0, "stop")
+    agent(made, 1, 60, "running", 0)
+    assert made.outcome(1).startswith("robot 1: running: its agent has not taken the stop, ")
+    agent(made, 1, 90, "stopping")
+    assert made.outcome(1).startswith("robot 1: stopping after 90 ms, ")
+
+
+def test_what_was_said_before_its_computer_said_more_takes_nothing_back() -> None:
+    """Files here are read at once; what agents of a busy machine say comes later than it was said."""
+    made = stopping("a person")
+    brake(made, *FLEET.ids[1:])
+    plant(made, 1, 10, driving=False)
+    made.found(EPOCH + 50 * MS, 1, "agent", "stopping", VERSION, "by a file on this machine")
+    assert made.done
+    agent(made, 1, 60, "running", 0)
+    assert not made.done, "nor is it known to brake then"
+    assert made.outcome(1).startswith("robot 1: running: its agent has not taken the stop, ")
+    agent(made, 1, 70, "stopping", 0, "stop: a person")
+    assert made.done, made.outcome(1)
+
+
+def test_a_resume_that_its_computer_has_kept_is_no_stop() -> None:
+    made = stopping("a person")
+    day = 20 * 3600 * 1_000_000
+    for k in range(5):  # more than are outdone
+        made.found(EPOCH, 1, "agent", "", VERSION + day + 1000 * k, "by a file on this machine")
+    brake(made, *FLEET.ids)
+    agent(made, 1, 30, "stopping", 0, "stop: a person")
+    assert not made.stands_by(1)
 
 
 def test_of_many_those_that_brake_are_one_line_and_the_others_one_each() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.loading import parse_fleet
-from agent.messages.types import Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.types import Resume, Status, Stop
 from agent.runtime.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.inventory.own_orders import OwnOrders
@@ -87,6 +88,26 @@ def test_what_a_way_tells_as_it_ends_counts(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(stop_module, "ANSWER_S", 0.0)
     assert stop(FLEET, "", [Late()])[0].done
+
+
+def test_who_brakes_and_has_not_kept_it_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Slow(Through):
+        """The agent of robot 3 says that it brakes, and what it has kept only when it was asked often."""
+
+        asked = 0
+
+        def collect(self, stopping: Stopping) -> None:
+            super().collect(stopping)
+            self.asked += 1
+            version = stopping.message.version if self.asked > 5 else 0
+            said = Status(3, 1, time.time_ns(), "stopping", "", "stop", 1, version, (), (), (), ())
+            stopping.feed(time.time_ns(), key_expressions.status("square", 3), said, "by hand")
+            if self.asked > 5:
+                stopping.found(0, 3, "plant", PLANT_BRAKES, version, "by hand")
+
+    assert stop(FLEET, "", [Slow(frozenset({3}))])[0].done
+    monkeypatch.setattr(stop_module, "WAIT_S", 0.1)
+    assert not stop(FLEET, "", [Slow(frozenset({3}))])[0].done
 
 
 def test_who_is_not_reached_is_named() -> None:
