@@ -401,7 +401,7 @@ class Agent:
             self._controller.keep_pace(period_ns, self._speed_share(overload.level))
             self._trust.period_s = period_ns / NS_PER_S
             peers.keep_pace(period_ns)
-            self._outbox.keep_pace(period_ns)
+            self._outbox.keep_pace(period_ns, pace.STANDING_PROMISE_NS * overload.stands)
         self._outbox.overload, self._outbox.others_overload = overload.wanted, overload.others
 
     def _tell_how_long_it_stood(self, now_ns: int) -> None:

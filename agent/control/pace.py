@@ -20,6 +20,9 @@ REST_PERIOD_MAX_S: Final = 0.4
 STEPS_MAX: Final = 8
 STANDING_SHARE: Final = 0.7
 """Wrenches come at the latest after so large a share of the plant's patience while all stand."""
+STANDING_PROMISE_NS: Final = NS_PER_S
+"""Who stands because a machine is overloaded promises no more than to be heard within so long: what is late
+there says nothing, and where it stands does not change."""
 _ROUNDING: Final = 1e-9
 
 

@@ -61,7 +61,8 @@ class BeaconSchedule:
         self.minds: Collection[int] | None = None
         self.level = 0
         self.tick_ns = fleet.period_ns
-        self._pause_ns: Final = len(fleet.robots) * NS_PER_S // HURRIES_HZ
+        # Others for each, else all that hurried once for the same reason do so again in one tick.
+        self._pause_ns: Final = round((0.5 + shares[1]) * len(fleet.robots) * NS_PER_S / HURRIES_HZ)
         self._hurried_ns, self._is_missed = -self._pause_ns, False
         all_ns = len(fleet.robots) * NS_PER_S // ORDERS_HZ // least_ns * least_ns
         self._again_ns: Final = all_ns

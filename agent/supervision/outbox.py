@@ -71,9 +71,14 @@ class Outbox:
         """The clock of the process, which its wrenches tell."""
         self._clock = tuple(clock)
 
-    def keep_pace(self, period_ns: int) -> None:
-        """From now on there is a tick in every so long, a multiple of the full rate's period."""
-        self._next_ms = -(-period_ns // NS_PER_MS) if period_ns > self._period_ns else 0
+    def keep_pace(self, period_ns: int, promise_ns: int = 0) -> None:
+        """From now on there is a tick in every so long, a multiple of the full rate's period.
+
+        Args:
+            promise_ns: within so long the next hand state comes, where that is longer.
+        """
+        next_ns = max(period_ns, promise_ns)
+        self._next_ms = -(-next_ns // NS_PER_MS) if next_ns > self._period_ns else 0
         self._schedule.tick_ns = period_ns
 
     def begin(self, epoch_ns: int) -> None:
@@ -158,7 +163,7 @@ class Outbox:
             doubt,
             *self._missions.mark,
             *self._latch.mark,
-            self._peers.rows.at(now_ns, was_there=self._peers.was_there),
+            self._peers.silent(now_ns),
             self._peers.given_up(now_ns),
             overload=self.overload,
             stood_ms=self.stood_ms,

@@ -166,6 +166,15 @@ def test_where_robots_cannot_be_controlled_any_more_all_stand_and_go_on_later() 
     run.expect_safe(0.01)
 
 
+def test_who_stands_for_it_does_not_tell_everybody_of_everybody_who_is_late() -> None:
+    """30 robots that all stood told of 100 silent ones a second: most of what the machine had to do."""
+    run = Run("at = 2\nfor = 18\ntick_jitter = '600ms'", duration_s=20.0, of=LATTICE).until(19.0)
+    assert not any(agent.state in DRIVING for agent in run.simulation.agents)
+    since_ns = run.simulation.epoch_ns + 6 * NS_PER_S
+    assert sum(len(beacon.silent) for beacon in run.beacons if beacon.time_ns > since_ns) < 130
+    assert {hand.next_ms for hand in run.hands if hand.time_ns > since_ns} == {1000}
+
+
 @pytest.mark.parametrize("seed", [1, 8, 10])
 def test_processes_that_stand_now_and_then_are_silent_and_none_drives_into_their_robots(seed: int) -> None:
     """Each agent's and each plant's ticks now and then come up to a second late: too seldom for all to stand.

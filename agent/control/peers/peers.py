@@ -30,7 +30,7 @@ from agent.control.peers.peer import NEVER, Peer
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
 from agent.control.peers.silent_rows import NEVER_CAME_NS, SilentRows
 from agent.control.peers.whereabouts import Whereabouts
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, Beacon, HandState, Removed
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, Beacon, HandState, Removed, Silent
 
 TRUST_LOST_S: Final = 0.5
 """Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
@@ -247,6 +247,10 @@ class Peers:
             peer.belief = None if lately else stood_between(*way)
             peer.time_ns = time_ns
 
+    def silent(self, now_ns: int) -> tuple[Silent, ...]:
+        """What a beacon tells of robots that are not heard."""
+        return self.rows.at(now_ns, was_there=self.was_there, missed_ns=self.missed_ns)
+
     def given_up(self, now_ns: int) -> tuple[int, ...]:
         """Robots from which nothing has come, now or since the start, for so long that they are given up."""
         until_ns = now_ns - round(self._horizon_s * NS_PER_S)
@@ -311,12 +315,13 @@ class Peers:
 
         A machine that has too much to do makes messages late and its processes stand, again and again. The
         next time that a robot is silent which stood lately, it may have braked; and who stood himself brakes
-        too late for it. Neither has time in which it would be predicted as driving on.
+        too late for it. Neither has time in which it would be predicted as driving on. Who says that it
+        stands is not: of a fleet that stands for such a machine, what is late is as late as ever.
         """
         if message.stood_ms * NS_PER_MS >= IN_TIME_NS:
             peer.stood_until_ns = message.time_ns + STOOD_KEPT_NS
         stood = message.time_ns < peer.stood_until_ns or now_ns < self.stood_until_ns
-        late_max_ns = 0 if stood else LATE_MAX_NS
+        late_max_ns = 0 if stood and message.following else LATE_MAX_NS
         peer.lateness.most_ns += late_max_ns - peer.late_max_ns  # beside what it promised
         peer.late_max_ns = late_max_ns
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.control.peers.forecast import Forecast
+from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peer import Peer
 from agent.control.peers.whereabouts import Whereabouts
 from agent.messages.types import SILENT_MAX, Silent
@@ -67,7 +68,7 @@ class SilentRows:
         for robot in robots:
             self._elsewhere[robot] = until_ns
 
-    def at(self, now_ns: int, *, was_there: bool) -> tuple[Silent, ...]:
+    def at(self, now_ns: int, *, was_there: bool, missed_ns: Callable[[int], int]) -> tuple[Silent, ...]:
         """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
         they are too many for one, or for a tick in which to work out where all of them may be. Nothing while
         no mission is near.
@@ -75,6 +76,8 @@ class SilentRows:
         Args:
             was_there: whether the own robot has listened since the drive began, so that who never came to it
                 never came.
+            missed_ns: for how much of the time since an instant the own process did not run: what it did not
+                hear meanwhile others have heard.
         """
         if not self.are_told(now_ns):
             return ()
@@ -87,7 +90,9 @@ class SilentRows:
             if peer.message is None:
                 if begun and peer.robot in self._starts and (peer.never_came or was_there):
                     told.append(peer)
-            elif not peer.is_heard(now_ns) or elsewhere.get(peer.robot, 0) > now_ns:
+            elif elsewhere.get(peer.robot, 0) > now_ns or (
+                not peer.is_heard(now_ns) and not _is_own_doing(peer, now_ns, missed_ns)
+            ):
                 told.append(peer)
         if len(told) > (ROWS_OF_MANY if self._is_large else SILENT_MAX):
             first = self._told % len(told)
@@ -132,3 +137,10 @@ class SilentRows:
         here = message.x, message.y
         way = (*here, message.doubt) if belief is None else belief.straight(*here)
         return Silent(peer.robot, time_ns, message.following, *message.place, *way)
+
+
+def _is_own_doing(peer: Peer, now_ns: int, missed_ns: Callable[[int], int]) -> bool:
+    """Whether a robot that is not heard would be, had the own process run all the time."""
+    since_ns = peer.time_ns - peer.clock.used_ns
+    late_ns = now_ns - since_ns - peer.lateness.forgiven_ns
+    return peer.here and late_ns - missed_ns(since_ns) < UNSURE_NS

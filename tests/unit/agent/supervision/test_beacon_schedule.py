@@ -248,6 +248,25 @@ def test_what_can_wait_hurries_no_oftener_than_its_share() -> None:
     assert len(bench.said) >= 20, "where it is is told at once, always"
 
 
+@pytest.mark.parametrize("spread", [True])
+def test_what_all_hurried_for_at_once_they_do_not_hurry_for_at_once_again(spread: bool) -> None:
+    """Each has its share of what hurries; if all had it back in one tick, all would speak in that."""
+    made = fleet(robots=60, beacon_interval_max_s=1.6)
+    hurried: Counter[int] = Counter()
+    for robot in range(1, 61):
+        schedule = BeaconSchedule(made, robot, 0)
+        for k in range(400):
+            now_ns = T0 + k * made.period_ns
+            if schedule.is_turn(now_ns):
+                before = schedule._hurried_ns
+                # That nobody is heard any more, and who that is changes all the time.
+                schedule.timed(beacon(now_ns, robot=robot, unheard=(100 + k % 7,)))
+                hurried[k // 10] += schedule._hurried_ns != before
+    assert hurried[0] == 60, "the first time all had something left"
+    assert max(hurried[second] for second in range(1, 40)) <= 2 * HURRIES_HZ
+    assert sum(hurried[second] for second in range(1, 40)) <= 1.5 * 39 * HURRIES_HZ
+
+
 def test_who_wants_no_lower_rate_than_others_has_no_news_of_it() -> None:
     for level, hurries in ((0, True), (1, False), (2, False)):
         bench = quiet()

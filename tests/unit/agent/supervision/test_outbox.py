@@ -87,6 +87,10 @@ def test_at_a_lower_rate_it_says_when_the_next_hand_state_comes_and_beacons_go_o
         beacons += [decode(said) for _, said in box.beacon(now_ns, HERE, 0.0, following=True)]
     assert 19 <= len(beacons) <= 21  # five a second
     assert {beacon.overload for beacon in beacons if isinstance(beacon, Beacon)} == {2}
+    box.keep_pace(4 * PERIOD, promise_ns=10 * PERIOD)
+    hand = decode(box.hand(TICK + 196 * PERIOD, HERE, 0.0, following=False)[0][1])
+    assert isinstance(hand, HandState)
+    assert hand.next_ms == 10 * PERIOD // 1_000_000
     box.keep_pace(PERIOD)
     hand = decode(box.hand(TICK + 200 * PERIOD, HERE, 0.0, following=True)[0][1])
     assert isinstance(hand, HandState)

@@ -89,4 +89,4 @@ def total(known: Peers, name: str) -> int:
 
 def rows(known: Peers, now_ns: int) -> tuple[Silent, ...]:
     """What it tells of the silent."""
-    return known.rows.at(now_ns, was_there=known.was_there)
+    return known.silent(now_ns)

@@ -241,6 +241,19 @@ def test_nothing_is_forgiven_the_late_link_of_a_robot_that_stood_lately(stood_ms
     assert lateness.forgiven_ns > S // 2
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_of_a_robot_that_stands_what_is_late_is_as_late_as_ever(own: bool):
+    """Nobody predicts it as driving on; and of a fleet that stands for a slow machine all are late."""
+    known, late_ns = peers(), 8 * S // 10
+    for k in range(100):
+        stamp = T0 + k * PERIOD
+        if own:
+            known.stood_until_ns = stamp + S
+        said = message(2, k, stamp)._replace(following=k < 50, stood_ms=0 if own else 300)
+        heard(known, said, now_ns=stamp + late_ns)
+        assert (known.get(2).lateness.forgiven_ns > S // 2) is (k >= 50), k
+
+
 def test_who_stood_lately_is_heard_until_its_next_message_was_promised():
     known, next_ns = peers(), 4 * S // 10
     peer = known.get(2)

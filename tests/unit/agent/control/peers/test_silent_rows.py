@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peers
 from agent.control.peers.silent_rows import NEVER_CAME_NS, TELLS_NS
 from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
@@ -118,3 +119,14 @@ def test_nobody_is_told_of_before_a_mission_is_near():
         assert rows(known, now_ns) == ()
     known.forecast.epoch_ns = now_ns + TELLS_NS
     assert [row.robot for row in rows(known, now_ns)] == [2]
+
+
+def test_of_whom_only_the_own_process_did_not_hear_nothing_is_told():
+    """It did not run: others have heard them meanwhile."""
+    known = heard(peers(horizon_s=1.0), message(2, 5, T0), message(3, 5, T0))
+    known.get(3).here = False  # its token has gone: that came though
+    now_ns, stood_ns = T0 + S, S - 2 * PERIOD
+    assert [row.robot for row in rows(known, now_ns)] == [2, 3]
+    known.missed_ns = lambda since_ns: stood_ns
+    assert [row.robot for row in rows(known, now_ns)] == [3]
+    assert [row.robot for row in rows(known, T0 + stood_ns + UNSURE_NS)] == [2, 3], "it has looked since"
