@@ -19,6 +19,8 @@ BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)
 )
 """States of an agent that has acknowledged a stop."""
+STOPPED: Final = frozenset({State.STOPPING.value, State.STOPPED.value})
+"""Those of them in which it is a stop by which it brakes."""
 PLANT_BRAKES: Final = "braking"
 """What a plant's process says of itself then (`agent.node.Node.condition`)."""
 SAYS_BRAKES: Final = {"agent": BRAKING, "plant": frozenset({PLANT_BRAKES})}
@@ -26,6 +28,9 @@ SAYS_BRAKES: Final = {"agent": BRAKING, "plant": frozenset({PLANT_BRAKES})}
 NEW_LINK: Final = "over a new link"
 OUTDONE_MAX: Final = 3
 """So many later orders a robot may have had, one after the other; who tells of more makes them up."""
+STOPS_OUTDONE_MAX: Final = 2
+"""So many later stops by which robots brake are outdone: a program that ends gives one, which the next drive
+lifts. Who gives more stops this fleet as well, and two that outdid each other would never come to an end."""
 
 
 def has_acknowledged(status: Status | None, stop: Stop) -> bool:
@@ -69,6 +74,7 @@ class Stopping:
         self.ahead_s = 0.0
         self.clocks: Final = RobotClocks()
         self._outdone: Counter[int] = Counter()
+        self._stops_outdone = 0
         self._down: dict[tuple[int, str], str] = {}
         """Processes that are down and find the stop when they come up, by robot and role: by which way."""
         self._states: dict[int, tuple[str, int]] = {}
@@ -123,7 +129,7 @@ class Stopping:
             return
         self._heard_plants.add(robot)
         if robot not in self._plants:
-            self.has_had(robot, version)
+            self.has_had(robot, version, brakes=state in SAYS_BRAKES[role])
         if version >= self.message.version and state in SAYS_BRAKES[role]:
             self._plants.setdefault(robot, _Brakes(now_ns, state, way))
 
@@ -142,10 +148,16 @@ class Stopping:
             self.message = self.message._replace(version=version + 1)
             self._down.clear()
 
-    def has_had(self, robot: int, version: int) -> None:
-        """Takes that a robot has had an order of that version."""
-        if version > self.message.version:
+    def has_had(self, robot: int, version: int, *, brakes: bool = False) -> None:
+        """Takes that a robot has had an order of that version.
+
+        Args:
+            brakes: it brakes by it.
+        """
+        if version > self.message.version and (not brakes or self._stops_outdone < STOPS_OUTDONE_MAX):
+            before = self.message
             self._outdo_robot(robot, version)
+            self._stops_outdone += brakes and self.message is not before
 
     def found_laid(self, robot: int, version: int) -> None:
         """Takes that a stop of that version lay where a robot looks for one, before this one did."""
@@ -177,7 +189,7 @@ class Stopping:
         self._states[robot] = state, version
         before = self.message
         if robot not in self._taken:
-            self.has_had(robot, version)
+            self.has_had(robot, version, brakes=state in STOPPED)
             if state not in BRAKING:
                 self._agents.pop(robot, None)
         obeys = self.message is before and self._obeys(robot)

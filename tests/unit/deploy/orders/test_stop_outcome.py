@@ -7,7 +7,7 @@ import pytest
 from agent.messages import key_expressions
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import PlantState, Status
-from deploy.orders.stop_outcome import Stopping
+from deploy.orders.stop_outcome import STOPS_OUTDONE_MAX, Stopping
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()
@@ -279,6 +279,26 @@ def test_what_cannot_be_outdone_yet_is_outdone_when_the_robots_time_is_known() -
     status = Status(1, 1, EPOCH, "running", "", "", 1, VERSION, (), (), (), ())
     made.feed(days_ago, key_expressions.status("square", 1), status)
     assert made.message.version == VERSION + 1
+
+
+def test_two_who_stop_a_fleet_at_once_do_not_outdo_each_other_for_ever() -> None:
+    """All robots have the last stop of either all the time, and brake by it."""
+    two = stopping("one"), Stopping(FLEET, EPOCH + MS, "two")
+    sent: list[int] = []
+    for k in range(40):
+        version, reason = max((each.message.version, each.message.reason) for each in two)
+        sent.append(version)
+        for made in two:
+            agent(made, 1 + k % 8, 20 + k, "stopping", version, f"stop: {reason}")
+            plant(made, 1 + k % 8, 20 + k, driving=False)
+    assert len(set(sent)) <= 2 * STOPS_OUTDONE_MAX + 2
+    for made in two:
+        for robot in FLEET.ids:
+            agent(made, robot, 100, "stopped", sent[-1], "stop: two")
+        assert made.done, made.outcomes(each=True)
+        # A later leave is none of those: it is outdone as ever.
+    agent(two[0], 3, 200, "running", sent[-1] + 5)
+    assert not two[0].done
 
 
 def test_a_later_stop_that_runs_give_is_outdone_too() -> None:
