@@ -18,6 +18,9 @@ SILENT_NS: Final = NS_PER_S
 """For so long no hand state has come from a robot whose beacons do, or for twice as long as it may take."""
 LATE_NS: Final = NS_PER_S // 2
 """Others may be so much longer in saying that they do not hear a robot either."""
+SURE_NS: Final = NS_PER_S
+"""Where beacons are seldom it must seem for so long that others hear a robot: of one whose process stood they
+may have heard one just now, and its next one comes here."""
 PAUSE_NS: Final = 2 * NS_PER_S
 PAUSE_MAX_NS: Final = 60 * NS_PER_S
 """A link that was opened anew, and did not help, is so again after this, then after twice as long."""
@@ -33,16 +36,17 @@ class _Other:
         listened_ns: since when its hand states are listened to, -1 while they are not.
         began_ns, told_ns: stamps of its first beacon since it is there, and of its latest.
         unheard: whom it said then that it does not hear.
+        lacked_ns: since when it seems that others hear it, -1 while it does not.
     """
 
     __slots__ = (
-        "beacon_ns", "began_ns", "came_ns", "due_ns", "hand_ns", "listened_ns", "pause_ns", "token_ns",
-        "told_ns", "unheard",
+        "beacon_ns", "began_ns", "came_ns", "due_ns", "hand_ns", "lacked_ns", "listened_ns", "pause_ns",
+        "token_ns", "told_ns", "unheard",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.token_ns = self.came_ns = self.beacon_ns = self.hand_ns = _NEVER
-        self.listened_ns = self.began_ns = self.told_ns = _NEVER
+        self.listened_ns = self.began_ns = self.told_ns = self.lacked_ns = _NEVER
         self.unheard: tuple[int, ...] = ()
         self.due_ns, self.pause_ns = 0, PAUSE_NS
 
@@ -75,6 +79,7 @@ class Deafness:
             for other in self._others.values():
                 other.token_ns = 0
         self._heard_after_ns = horizon_ns + seldom_ns + LATE_NS
+        self._sure_after_ns = min(SURE_NS, seldom_ns)
         self._no_hands_ns = max(SILENT_NS, 2 * hands_ns)
         self._now_ns = self._due_ns = 0
         self._link = _Other() if one_link else None
@@ -141,13 +146,18 @@ class Deafness:
         """Whether nothing comes, and another robot that has been there as long goes on hearing it: so late
         that it must know."""
         since_ns = max(other.came_ns, other.token_ns)
-        return now_ns - since_ns > self._heard_after_ns and any(
+        if now_ns - since_ns <= self._heard_after_ns or not any(
             each.told_ns - max(since_ns, each.began_ns) > self._heard_after_ns
             and each.began_ns != _NEVER
             and robot not in each.unheard
             for each in self._others.values()
             if each is not other
-        )
+        ):
+            other.lacked_ns = _NEVER
+            return False
+        if other.lacked_ns == _NEVER:
+            other.lacked_ns = now_ns
+        return now_ns - other.lacked_ns >= self._sure_after_ns
 
 
 def _is_to_open(other: _Other, now_ns: int, *, lacks: bool) -> bool:

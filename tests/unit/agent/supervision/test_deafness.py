@@ -9,7 +9,7 @@ import pytest
 
 from agent.common.time import NS_PER_S
 from agent.messages.types import Beacon
-from agent.supervision.deafness import LATE_NS, PAUSE_MAX_NS, PAUSE_NS, Deafness
+from agent.supervision.deafness import LATE_NS, PAUSE_MAX_NS, PAUSE_NS, SURE_NS, Deafness
 from agent.supervision.state_machine import State
 from tests.unit.agent.fleet_bench import FleetBench, three
 
@@ -70,8 +70,18 @@ def test_who_is_heard_by_others_and_not_here_is_found() -> None:
 def test_of_whom_beacons_are_seldom_nothing_may_come_for_longer() -> None:
     bench = Bench(seldom_ns=3 * NS_PER_S)
     assert bench.run(10) == []
-    assert bench.run((HORIZON_NS + LATE_NS) / NS_PER_S + 2.9, (3, 4)) == []
+    assert bench.run((HORIZON_NS + LATE_NS + SURE_NS) / NS_PER_S + 2.9, (3, 4)) == []
     assert bench.run(1.0, (3, 4)) == [2]
+
+
+def test_of_one_whose_process_stood_others_may_have_heard_just_now() -> None:
+    """A robot of 30 that was frozen for 3 s: one that was no neighbour of it opened its only link anew."""
+    bench = Bench(seldom_ns=NS_PER_S)
+    assert bench.run(10) == []
+    silent_s = (HORIZON_NS + LATE_NS) / NS_PER_S + 1.2
+    assert bench.run(silent_s, (3, 4), unheard=lambda _: (2,)) == []
+    assert bench.run(0.6, (3, 4)) == [], "they hear it again"
+    assert bench.run(10) == []
 
 
 def test_so_is_one_that_was_never_heard() -> None:
