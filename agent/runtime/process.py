@@ -73,7 +73,8 @@ class Start(NamedTuple):
 
 
 class Shutdown:
-    """Whether the process was asked to end: by SIGTERM or SIGINT, or because its parent is gone.
+    """Whether the process was asked to end: by SIGTERM, SIGINT or SIGHUP (unless that is ignored, as nohup(1)
+    has it), or because its parent is gone.
 
     A signal handler only sets a flag: Zenoh must be closed by the main thread.
     """
@@ -82,7 +83,8 @@ class Shutdown:
         self.asked = False
         self.why = ""
         self._parent = os.getppid() if with_parent else 0
-        for number in (signal.SIGTERM, signal.SIGINT):
+        ignores_hangup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        for number in (signal.SIGTERM, signal.SIGINT, *([] if ignores_hangup else [signal.SIGHUP])):
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, number: int, _frame: object) -> None:

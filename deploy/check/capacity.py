@@ -129,6 +129,15 @@ def that_fits(fleet: Fleet, machine: Machine) -> Fleet | None:
     return None
 
 
+def settings(fleet: Fleet, found: Fleet) -> list[str]:
+    """What makes `found`, which `slower` has made of `fleet`, of it: for ``--set``."""
+    changes = [f"fleet.rate_hz={found.fleet.rate_hz:g}"]
+    for name in (SPEED, *TIMEOUTS):
+        if getattr(found.control, name) != getattr(fleet.control, name):
+            changes.append(f"control.{name}={getattr(found.control, name):g}")
+    return changes
+
+
 def describe_cost(fleet: Fleet) -> str:
     """What a fleet takes of processors, in a line."""
     cost = cost_of(fleet)
@@ -155,11 +164,7 @@ def overload(fleet: Fleet, machine: Machine) -> str:
     if found is None:
         advice = "drive fewer, on a larger machine or in virtual time (`handfast simulate`)"
     else:
-        changes = [f"fleet.rate_hz={found.fleet.rate_hz:g}"]
-        for name in (SPEED, *TIMEOUTS):
-            if getattr(found.control, name) != getattr(fleet.control, name):
-                changes.append(f"control.{name}={getattr(found.control, name):g}")
-        words = " ".join(f"--set {change}" for change in changes)
+        words = " ".join(f"--set {change}" for change in settings(fleet, found))
         advice = f"all {n} fit at {found.fleet.rate_hz:g} Hz: {words}"
     return (
         f"{n} robots at {fleet.fleet.rate_hz:g} Hz need about {needs:.2g} cores, and "

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +18,7 @@ from deploy.processes.child import environment
 from deploy.processes.forking import ForkServer
 from deploy.processes.local import Processes
 from deploy.processes.placement import Vehicle, held_orders, orders_folder
+from deploy.processes.scheduling import interrupting_nobody
 from deploy.report.run_folder import RunFolder
 from deploy.session.joined_bus import OperatorBus
 from deploy.session.operator_bus import operator_bus
@@ -69,6 +70,7 @@ class LocalRun:
         # Known before it starts and until it has ended: whoever wants to stop it must find it.
         name, path = self._fleet.fleet.name, self._folder.path
         with (
+            interrupting_nobody() if self._fleet.is_routed else nullcontext(),
             self._server,
             Registration(name, path, self._folder.fleet_file, self._source),
             held_orders(self._fleet),

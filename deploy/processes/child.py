@@ -26,7 +26,7 @@ def environment() -> dict[str, str]:
 
 
 class Child:
-    """One process of one robot, in a session of its own so that a Ctrl-C reaches only its starter.
+    """One process of one robot, a process group of its own so that a Ctrl-C reaches only its starter.
 
     Args:
         robot: the robot's id.
@@ -59,7 +59,7 @@ class Child:
                 stdout=output,
                 stderr=output,
                 env=environment(),
-                start_new_session=True,
+                process_group=0,
             )
         self._guard: subprocess.Popen[bytes] | None = None
 
@@ -96,7 +96,7 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,
+            process_group=0,
         )
         self._process.send_signal(signal.SIGSTOP)
 

@@ -31,7 +31,7 @@ from typing import Any, Final, NamedTuple
 from agent.common.errors import Error
 from agent.fleet.plants import DEFAULT, KINDS
 from agent.runtime import preloaded
-from deploy.processes import command_line
+from deploy.processes import command_line, scheduling
 from deploy.processes.command_line import ROOM, words_of
 from deploy.processes.forking import MESSAGE_MAX, SERVER
 
@@ -46,13 +46,6 @@ STARTING_MAX: Final = 2 + (os.cpu_count() or 1)
 that come later in the file connect to those before them, who should be there by then."""
 START_S: Final = 0.3
 """Who takes longer waits for something else than processor time, and no other process waits for it."""
-YIELDING: Final = 5
-"""So much nicer are many robots than the router that they share, and `run`: where the processor is short,
-what all of them wait for comes first."""
-ONE_SESSION: Final = 48
-"""More robots than these are one session. Kernels that share processors out by sessions (sched(7), autogroup)
-make nothing of who is nicer in another one, and the router would get one share of hundreds. Fewer do not need
-that, and it would leave them less beside other programs."""
 LOOK_S: Final = 0.25
 """How often who started this process is looked for."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -84,7 +77,6 @@ class Server:
         self._pid = os.getpid()
         self._numbers: dict[int, int] = {}
         """Who asked for a process gave it a number: those of the system are given again."""
-        self._are_many = False
         self._starting: dict[int, float] = {}
         """Pipes whose other end a process closes when it has started, and until when that is waited for."""
         self._null = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
@@ -133,11 +125,11 @@ class Server:
     def _answer(self, request: Any, handles: Sequence[int]) -> Forked | None:
         if "fleet" in request:
             with suppress(Error):  # whoever needs it says so
-                fleet = preloaded.preload(request["fleet"])
-                self._are_many = fleet.is_routed and len(fleet.robots) > ONE_SESSION
-                if fleet.is_routed:
-                    os.nice(max(0, YIELDING - os.nice(0)))  # once, however many it reads
+                preloaded.preload(request["fleet"])
             self._settle()
+            return None
+        if "yields" in request:
+            scheduling.yield_always()
             return None
         (log,) = handles
         forked = Forked(request["module"], request["arguments"])
@@ -183,10 +175,7 @@ class Server:
 
     def _become(self, forked: Forked, log: int) -> None:
         """In the process that was forked: leaves nothing that was the server's."""
-        if self._are_many:
-            os.setpgid(0, 0)
-        else:
-            os.setsid()
+        os.setpgid(0, 0)
         _end_with_parent(self._pid)
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)

@@ -53,7 +53,7 @@ class ForkServer:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env=dict(environment),
-                start_new_session=True,
+                process_group=0,
             )
 
     def __enter__(self) -> ForkServer:
@@ -86,9 +86,14 @@ class ForkServer:
         if self._can_be_asked():
             self._ask({"fleet": str(fleet_file)})
 
+    def yields(self) -> None:
+        """Has all that it will fork share processors as many robots do (`deploy.processes.scheduling`)."""
+        if self._can_be_asked():
+            self._ask({"yields": True})
+
     def start(self, module: str, arguments: Sequence[str], log: int) -> ForkedProcess | None:
-        """A process that is as ``python -P -m MODULE ARGUMENTS``, in a session of its own; None where it
-        cannot be had.
+        """A process that is as ``python -P -m MODULE ARGUMENTS``, in a process group of its own; None where
+        it cannot be had.
 
         Args:
             log: where its output goes, an open file.

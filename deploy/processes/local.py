@@ -86,6 +86,8 @@ class Processes:
             self._children[number, ROUTER] = Child(
                 number, ROUTER, "agent.runtime.router", arguments, log, name=f"router {number}"
             )
+        if fleet.is_routed and self._server is not None:
+            self._server.yields()
         # Plugins are the code of others: each process imports them for itself.
         has_plugins = fleet.control.law is not None or any(robot.kind.is_plugin for robot in fleet.robots)
         if self._server is not None and not has_plugins:

@@ -30,7 +30,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.analysis.lattice import lattice
-from deploy.check.capacity import FULL, RATES_HZ, carried, cost_of, slower, used
+from deploy.check.capacity import FULL, RATES_HZ, carried, cost_of, settings, slower, used
 from deploy.console.data_files import FLEETS
 from deploy.processes.machine import measured
 from deploy.recording.recording import Recording
@@ -62,6 +62,10 @@ HOG_AFTER_S, HOG_S, HOG_THEN_S = 8.0, 10.0, 12.0
 BACK_S: Final = 5.0
 STOP_S: Final = 1.0
 BEYOND_ROBOTS: Final = 45
+LIMIT_HZ: Final = (10.0, 5.0)
+LIMIT_TRIES: Final = 2
+NEXT: Final = 48, 52
+NEXT_HZ: Final = 5.0
 ROUTED: Final = (25, 50, 100, 200, 400, 800)
 ROUTED_QUICK: Final = (50, 200)
 HEADING: Final = (
@@ -153,6 +157,43 @@ def sizes(folder: Path, fleets: Sequence[tuple[int, float]]) -> tuple[list[Figur
                 Figure(f"command to driving, {processes} processes", driving[processes], "s", limit_s)
             )
     return figures, table(HEADING, rows)
+
+
+def at_the_limit(folder: Path, tries: int) -> tuple[list[Figure], list[str]]:
+    """As many robots as `handfast run` says that this machine carries, at some rates: do they drive?"""
+    rows, good, count = [], 0, 0
+    for rate_hz in LIMIT_HZ:
+        for k in range(tries):
+            # Asked each time, as who starts a fleet does: the machine is not as fast at all times.
+            robots = carried(slower(_lattice(100, 10.0), rate_hz), measured())
+            found = _run_slower(folder, robots, rate_hz, f"limit{rate_hz:g}-{k}")
+            rows.append(row(f"{robots} at {rate_hz:g} Hz", found))
+            good, count = good + is_good(found), count + 1
+    what = "fleets as large as the model says that this machine carries that settle, hardly a tick missed"
+    return [Figure(what, good, f"of {count}", count, at_most=False)], table(HEADING, rows)
+
+
+def with_a_few_more(folder: Path) -> tuple[list[Figure], list[str]]:
+    """What a robot costs in two fleets of almost the same size: not more in the larger one."""
+    found = [_run_slower(folder, robots, NEXT_HZ, f"next{robots}") for robots in NEXT]
+    cost = [1000.0 * run.cpu.get("agent", nan) for run in found]
+    few, more = NEXT
+    name = f"lattices of {few} and of {more} robots at {NEXT_HZ:g} Hz"
+    figures = [
+        Figure(f"{name}: CPU of an agent, ratio", cost[1] / cost[0], "", 1.2, note=f"{cost[0]:.3g} ms/s"),
+        Figure(f"{name}: the larger one settles", float(is_good(found[1])), "", 1, at_most=False),
+    ]
+    return figures, table(
+        HEADING, [row(f"{robots} at {NEXT_HZ:g} Hz", run) for robots, run in zip(NEXT, found, strict=True)]
+    )
+
+
+def _run_slower(folder: Path, robots: int, rate_hz: float, name: str) -> Found:
+    """Drives a lattice at a lower rate, with what `handfast run` proposes for that."""
+    fleet = _lattice(robots, 10.0)
+    words = [word for each in settings(fleet, slower(fleet, rate_hz)) for word in ("--set", each)]
+    file = write_lattice(folder, robots, 10.0)
+    return run_once(file, folder / name, DRIVE_S, "--no-check", *words)
 
 
 def bundled(folder: Path) -> tuple[list[Figure], list[str]]:
@@ -388,6 +429,8 @@ def run(options: Options) -> Result:
         parts = [
             starts(folder, options.count or (STARTS_QUICK if quick else STARTS)),
             sizes(folder, SIZES_QUICK if quick else SIZES),
+            at_the_limit(folder, 1 if quick else LIMIT_TRIES),
+            with_a_few_more(folder),
             in_virtual_time(VIRTUAL_QUICK if quick else VIRTUAL, 3.0 if quick else 10.0),
             in_fleets(folder, FED_QUICK if quick else FED, 8.0 if quick else 20.0),
             hogged(folder),

@@ -60,7 +60,7 @@ def test_processes_are_forked_and_seen_as_if_they_were_started(tmp_path: Path) -
             words = Path(f"/proc/{pid}/cmdline").read_text().rstrip("\0").split("\0")
             assert words[:8] == [sys.executable, "-P", "-m", role, "--fleet", str(fleet), "--robot", "2"]
             assert words[-1] == "--exit-with-parent"
-            assert os.getsid(pid) == pid
+            assert os.getpgid(pid) == pid, "a Ctrl-C is not for it"
         command.process.send_signal(signal.SIGINT)
         assert command.wait() == 130
         assert not running(server)

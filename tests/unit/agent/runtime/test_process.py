@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator, Sequence
 from typing import cast
 
@@ -257,3 +259,18 @@ def test_routers_and_others_plants_have_names():
     names = names_of(routers, 2)
     assert names["tcp/here:7447"] == "the router at here:7447"
     assert names[routers.plant_endpoint(1)] == "robot 1's plant"
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_terminal_that_is_closed_ends_a_process_unless_it_is_to_ignore_that(ignored: bool) -> None:
+    """Or it would end at once, without braking."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+    try:
+        if ignored:
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        shutdown = Shutdown(with_parent=False)
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert (shutdown.asked, shutdown.why) == ((False, "") if ignored else (True, "SIGHUP"))
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

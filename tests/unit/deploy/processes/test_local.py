@@ -185,10 +185,14 @@ def test_a_disk_that_is_lost_takes_the_orders_of_its_process_with_it(tmp_path: P
 
 
 class Server:
-    """Takes the place of a fork server: remembers what was read ahead."""
+    """Takes the place of a fork server: remembers what was read ahead, and whether robots yield."""
 
     def __init__(self) -> None:
         self.read: list[Path] = []
+        self.yielded = 0
+
+    def yields(self) -> None:
+        self.yielded += 1
 
     def preload(self, fleet_file: Path) -> None:
         self.read.append(fleet_file)
@@ -200,6 +204,7 @@ def test_a_fork_server_reads_the_fleet_file_once_for_all() -> None:
     assert restart(made, 1).server is server
     assert {child.server for child in started} == {server}
     assert server.read == [Path("fleet.toml")]
+    assert server.yielded == 0
 
 
 class ForeignLaw(Law):
@@ -211,6 +216,14 @@ class ForeignLaw(Law):
 
 class ForeignPlant(Plant):
     """A plant of others."""
+
+
+@pytest.mark.parametrize("settings", [[], [f"control.law={__name__}:ForeignLaw"]])
+def test_robots_that_share_a_router_yield_to_it(settings: list[str]) -> None:
+    server: Any = Server()
+    fleet = load_fleet(FLEETS / "pair.toml", ["network.topology=routed", *settings])
+    Processes(fleet, Path("fleet.toml"), Path, server=server).start()
+    assert server.yielded == 1
 
 
 @pytest.mark.parametrize("settings", [

@@ -1,0 +1,54 @@
+"""Who shares processors how: asked of the kernel."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from typing import Final
+
+import pytest
+
+from deploy.processes import scheduling
+from deploy.processes.scheduling import YIELDING, interrupting_nobody
+
+TELL: Final = "import os; print(os.sched_getscheduler(0), os.nice(0))"
+
+
+def started() -> tuple[int, ...]:
+    """The policy and niceness of a process that is started now."""
+    return tuple(map(int, subprocess.check_output([sys.executable, "-c", TELL]).split()))
+
+
+def test_what_is_started_meanwhile_interrupts_nobody() -> None:
+    policy, nice = os.sched_getscheduler(0), os.nice(0)
+    seen: list[int] = []
+    with interrupting_nobody():
+        thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))
+        thread.start()
+        thread.join()
+        assert started() == (os.SCHED_BATCH, nice)
+    assert seen == [os.SCHED_BATCH]
+    assert started() == (policy, nice), "a notebook goes on as it was"
+
+
+def test_who_yields_is_nicer_once() -> None:
+    code = f"from deploy.processes.scheduling import yield_always; yield_always(); yield_always(); {TELL}"
+    told = subprocess.check_output([sys.executable, "-c", code]).split()
+    assert tuple(map(int, told)) == (os.SCHED_BATCH, max(os.nice(0), YIELDING))
+
+
+def test_a_system_that_has_no_such_thing_or_forbids_it_goes_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    policy = os.sched_getscheduler(0)
+
+    def forbidden(*_: object) -> None:
+        raise PermissionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "sched_setscheduler", forbidden)
+        with interrupting_nobody():
+            assert os.sched_getscheduler(0) == policy
+    monkeypatch.setattr(scheduling, "_BATCH", 0)
+    with interrupting_nobody():
+        assert os.sched_getscheduler(0) == policy
