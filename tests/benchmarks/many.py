@@ -174,13 +174,20 @@ def at_the_limit(folder: Path, tries: int) -> tuple[list[Figure], list[str]]:
 
 
 def with_a_few_more(folder: Path) -> tuple[list[Figure], list[str]]:
-    """What a robot costs in two fleets of almost the same size: not more in the larger one."""
+    """What a robot and its router cost in two fleets of almost the same size: hardly more in the larger."""
     found = [_run_slower(folder, robots, NEXT_HZ, f"next{robots}") for robots in NEXT]
-    cost = [1000.0 * run.cpu.get("agent", nan) for run in found]
     few, more = NEXT
     name = f"lattices of {few} and of {more} robots at {NEXT_HZ:g} Hz"
     figures = [
-        Figure(f"{name}: CPU of an agent, ratio", cost[1] / cost[0], "", 1.2, note=f"{cost[0]:.3g} ms/s"),
+        *(
+            Figure(
+                f"{name}: CPU of {who}, ratio",
+                found[1].cpu.get(role, nan) / found[0].cpu.get(role, nan),
+                "",
+                1.3,
+            )
+            for who, role in (("an agent", "agent"), ("the router", "router"))
+        ),
         Figure(f"{name}: the larger one settles", float(is_good(found[1])), "", 1, at_most=False),
     ]
     return figures, table(
