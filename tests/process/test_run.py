@@ -30,6 +30,7 @@ from tests.process.harness import (
     measured,
     no_trouble_in_logs,
     running,
+    skipped,
     wait_for,
 )
 
@@ -104,7 +105,7 @@ def test_mcap_library_reads_every_message(delta: tuple[Path, Command, int]) -> N
         for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
             count[channel.topic] += 1
             json.loads(message.data)
-    ticks = DRIVE_S * 25  # as `BUSY` has it
+    ticks = DRIVE_S * 25 - len(skipped(read_run(folder)))  # as `BUSY` has it; a busy machine skips some
     for robot in range(1, 7):
         for what in ("hand", "plant/state", "plant/wrench"):
             assert count[f"delta/robot/{robot}/{what}"] >= ticks, count
