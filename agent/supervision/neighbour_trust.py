@@ -97,6 +97,7 @@ class NeighbourTrust:
                 controller.peers.set_trust(peer, 1.0 if wanted and state is State.READY else 0.0)
             if edge.weight < BEGUN:
                 continue
+            is_named = False
             begun += 1
             if not heard or peer.deaf:
                 silent += 1
@@ -104,13 +105,15 @@ class NeighbourTrust:
             elif state is State.HOLDING:
                 if not peer.has_told(now_ns, self._horizon_ns):
                     untold += 1
+                    is_named = True
                     given_up.append(f"{peer.name} (has not said yet whom it hears)")
                 elif peer.mark > controller.mark:
                     newer = newer or f"waits for mission {peer.mark[0]}, which {peer.name} has"
             if not wanted and edge.weight < 1.0:
                 pass  # as ordered: it leaves, or has only just joined
             elif not wanted or peer.deaf:
-                given_up.append(self._why(peer, now_ns, heard=heard))
+                if not is_named:
+                    given_up.append(self._why(peer, now_ns, heard=heard))
             elif late > self._slow_ns:
                 gone = (late - self._slow_ns) / (self._horizon_ns - self._slow_ns)
                 share = min(share, 1.0 - (1.0 - SLOWEST) * gone)
@@ -200,7 +203,8 @@ class NeighbourTrust:
         if peer.deaf and late is not None and late <= self._horizon_ns:
             return f"{peer.name} (does not hear this one)"
         if heard:
-            return f"{peer.name} (does not follow)"
+            slow = self._overload.is_wanted_by(peer.robot)
+            return f"{peer.name} (does not follow{', its machine runs late' if slow else ''})"
         if age is not None and self._is_own_doing(peer, now_ns):
             return f"{peer.name} ({self._overload.stall(now_ns)})"
         if peer.other_version and (age is None or age > self._horizon_ns):

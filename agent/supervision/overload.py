@@ -132,6 +132,10 @@ class Overload:
         else:
             self._others.pop(robot, None)
 
+    def is_wanted_by(self, robot: int) -> bool:
+        """Whether a robot said of late that its own process does not keep its rate."""
+        return robot in self._others
+
     def look(self, now_ns: int, *, drives: bool = True) -> bool:
         """Finds what to go by at a tick; whether that is another level than before.
 

@@ -146,8 +146,8 @@ class Causes:
 
 def _last_words(status: StatusTable, t: float) -> str:
     """The reason that an agent gave for its state last, and until when if it gives none any more; empty when
-    it has given none for `WORDS_S`."""
-    rows = np.flatnonzero((status.t > t - WORDS_S) & (status.t <= t)).tolist()
+    it has given none for `WORDS_S`, nor since the drive began."""
+    rows = np.flatnonzero((status.t > max(t - WORDS_S, 0.0)) & (status.t <= t)).tolist()
     for row in reversed(rows):
         if status.reasons[row]:
             until = "" if row == rows[-1] else f" until {status.t[row]:.1f} s"

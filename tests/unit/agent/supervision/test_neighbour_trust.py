@@ -307,6 +307,26 @@ def test_a_neighbour_that_does_not_follow_loses_its_edge_but_not_its_room(bench:
     assert 3 in {peer.robot for _, peer in bench.agents[1]._controller.edges}
 
 
+def test_who_stands_on_a_machine_that_runs_late_is_said_to(bench: FleetBench):
+    """It may stand for that, and then it is no fault of its body's."""
+    bench.say("few/stop", Stop(1, bench.now, ""), [bench.agents[3], bench.plants[3]])
+    bench.cut = lambda key, _node: key in ("few/robot/3/told", "few/robot/3/beacon")
+    bench.agents[1]._overload.heard(3, 1, bench.now, NS_PER_S)
+    assert watch(bench, 1.0)[-1].reason.endswith("without robot 3 (does not follow, its machine runs late)")
+
+
+def test_who_is_missed_is_named_once(bench: FleetBench):
+    """Robot 3 is heard again, has not said whom it hears, and does not follow."""
+    silence(bench, 2, 3)
+    assert watch(bench, 4.0)[-1].state is State.HOLDING
+    bench.say("few/stop", Stop(1, bench.now, ""), [bench.agents[3], bench.plants[3]])
+    unheard = [f"few/robot/{robot}/{what}" for robot in (2, 3) for what in ("beacon", "told")]
+    bench.cut = lambda key, _node: key in unheard
+    row = watch(bench, 0.1)[-1]
+    assert row.state is State.HOLDING
+    assert row.reason.count("robot 3") == 1
+
+
 def test_before_the_drive_a_neighbour_that_stands_ready_is_trusted_at_once():
     """At the epoch edges have their whole force: there is nothing to come back from."""
     bench = FleetBench(three())

@@ -84,6 +84,19 @@ def test_its_own_words_count_for_a_while() -> None:
     assert until(0.9) == []
 
 
+def test_what_it_waited_for_before_the_drive_keeps_it_from_nothing() -> None:
+    base = run(*FAR)
+    one = base.robots[1]
+    times = one.status.t - one.status.t[0] - 1.0
+    reasons = ["for the epoch" if t < 0.0 else "" for t in times]
+    data = replace(one, status=replace(one.status, t=times, reasons=reasons))
+    recording = replace(base, robots={**base.robots, 1: data})
+    a = analyse(recording, resolve(recording.fleet))
+    far = np.array([robot == 1 for robot in recording.ids])
+    early = Causes(recording, a, far, int(np.searchsorted(a.grid, 0.5)))
+    assert early.of(recording.ids.index(1)) == []
+
+
 def test_whom_the_safety_filter_kept_it_from() -> None:
     """In more than a tenth of the ticks of the last 2 s; its limits are named by what sets them."""
     filtered = {1: {"any": 10, "robot 3": 8, "post 4": 9, "speed": 5, "robot 2": 0.5}}
