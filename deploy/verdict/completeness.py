@@ -13,7 +13,7 @@ from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import downs
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
-from deploy.verdict.overload import Stall, late_robots, stalls
+from deploy.verdict.overload import Stall, late_robots, on_late_machines, stalls
 
 SILENCE_S: Final = 2.0
 """An agent says its status five times a second; one that said nothing in the last so many is lost."""
@@ -141,8 +141,11 @@ class Completeness:
         return not (known and gap.end_s < self._recording.end_s)
 
     def _fell_silent(self, among: frozenset[int]) -> list[str]:
-        """Sentences for agents that said nothing more to the end, though nobody had stopped them."""
-        out = []
+        """Sentences for agents that said nothing more to the end, though nobody had stopped them.
+
+        Many of one machine that was too slow are one matter: what they said may not have come through.
+        """
+        found: dict[int, float] = {}
         recording = self._recording
         law = recording.fleet.control.law
         hint = "" if law is None else f" Its law, {law}, may hang."
@@ -154,10 +157,22 @@ class Completeness:
                 for down in downs(recording, robot, "agent")
             )
             if robot in among and silence_s > SILENCE_S and not ordered:
-                out.append(
-                    f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
-                    f"{silence_s:.1f} s of the drive.{hint}"
-                )
+                found[robot] = last_s
+        late = on_late_machines(recording).intersection(found)
+        if len(late) < 2:
+            late = frozenset()
+        out = [
+            f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
+            f"{recording.end_s - last_s:.1f} s of the drive.{hint}"
+            for robot, last_s in found.items()
+            if robot not in late
+        ]
+        if late:
+            first_s = min(found[robot] for robot in late)
+            out.append(
+                f"Nothing more came of the agents of {robots(sorted(late))}, of the first from {first_s:.1f} "
+                "s on: their machine was too slow, for them, their router or the program that records."
+            )
         return out
 
 

@@ -114,6 +114,14 @@ def late_robots(recording: Recording) -> frozenset[int]:
     return frozenset(robot for robot in recording.ids if _was_late(recording, robot))
 
 
+def on_late_machines(recording: Recording) -> frozenset[int]:
+    """All robots of machines that some of their robots found too slow."""
+    late = late_robots(recording)
+    return frozenset(
+        robot for ids in _machines(recording).values() if not late.isdisjoint(ids) for robot in ids
+    )
+
+
 def _machines(recording: Recording) -> dict[str, list[int]]:
     """The robots of each machine."""
     found: dict[str, list[int]] = {}

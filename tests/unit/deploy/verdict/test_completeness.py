@@ -69,6 +69,29 @@ def test_what_was_missed_while_it_had_a_place_is() -> None:
     assert reason == "The data are incomplete: robot 2 sent no pose from 3.00 s to 4.50 s."
 
 
+def test_many_that_fall_silent_on_a_machine_that_is_too_slow_are_one_matter() -> None:
+    """Of 4 robots 3 are heard no more; the fourth skipped every second tick."""
+    fleet = make_fleet([(float(k), 0.0) for k in range(4)], [(1, 2)], duration_s=8.0, rate_hz=10.0)
+    skips = (("overruns", 40),)
+
+    def reasons(late: bool, silent: tuple[int, ...]) -> list[str]:
+        sent = [
+            (at, key, each._replace(counters=skips) if late and type(each) is Status else each)
+            for at, key, each in messages(fleet, in_formation(fleet))
+            if not (type(each) is Status and each.robot in silent and each.time_ns > EPOCH_NS + 3_050_000_000)
+        ]
+        recording = recorded(fleet, sent)
+        return Completeness(recording, analyse(recording, resolve(fleet))).reasons
+
+    assert reasons(True, (1, 2, 3)) == [
+        "Nothing more came of the agents of robots 1, 2 and 3, of the first from 3.0 s on: their machine was "
+        "too slow, for them, their router or the program that records."
+    ]
+    assert len(reasons(False, (1, 2, 3))) == 3
+    (alone,) = reasons(True, (1,))
+    assert alone.startswith("The agent of robot 1 said nothing more from 3.0 s on")
+
+
 def event(t: float, what: str, role: str = "agent") -> Any:
     return Event(2, 0, EPOCH_NS + round(t * 1e9), role, what, "crash")
 
