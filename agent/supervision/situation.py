@@ -208,7 +208,9 @@ class Situation:
                 if 2 * missed_ns > age_ns:  # it waited for this process most of the time
                     return self._overload.stall(now_ns)
                 return f"plant late by {age_ns / NS_PER_S:.2f} s, or its clock is behind"
-            return f"plant silent for {age_ns / NS_PER_S:.2f} s"
+            silent = f"plant silent for {age_ns / NS_PER_S:.2f} s"
+            # Most plants are on the computer of their agents, and may have no more of it than those.
+            return f"{silent}, {self._overload.stall(now_ns)}" if self._overload.wanted else silent
         if not plant.healthy:
             return f"plant unhealthy: {plant.note or 'no reason given'}"
         speed = hypot(plant.speed, self._reach * plant.yaw_rate)

@@ -299,6 +299,15 @@ def test_a_plant_that_may_have_spoken_while_the_own_process_stood_is_not_lost() 
     assert made.conditions(later, State.RUNNING).plant == made.plant_trouble
 
 
+def test_a_plant_that_is_silent_on_a_machine_that_runs_late_is_told_with_that() -> None:
+    """It is not known which of both it is."""
+    made, _ = driving()
+    made._overload.late(NOW + 100_000_000, 60_000_000)
+    made._overload.wanted = 1
+    made.check_plant(NOW + NS_PER_S)
+    assert made.plant_trouble == "plant silent for 1.00 s, overloaded: this machine ran late by 0.06 s"
+
+
 def test_what_of_a_plant_waited_for_the_own_process_is_not_late_nor_its_clock_behind() -> None:
     made, _ = driving()
     later = NOW + 2 * NS_PER_S
