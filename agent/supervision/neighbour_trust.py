@@ -212,5 +212,6 @@ class NeighbourTrust:
         if age is None:
             return peer.name
         if not peer.here and age - peer.hand_next_ns <= self._horizon_ns:
-            return f"{peer.name} (its agent is gone)"
+            or_late = ", or its machine runs late" if self._overload.level else ""
+            return f"{peer.name} (its agent is gone{or_late})"
         return f"{peer.name} ({age / NS_PER_S:.1f} s)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from math import hypot, inf
 from typing import Final
@@ -83,11 +84,19 @@ class Completeness:
             known = longest.get(gap.robot)
             if self._matters(gap) and (known is None or gap.lasts_s > known.lasts_s):
                 longest[gap.robot] = gap
+        together = self._of_one_cause(longest)
         out += [
             f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to "
             f"{gap.end_s:.2f} s{', for its machine was too slow' if gap.is_late else ''}."
             for robot, gap in longest.items()
+            if robot not in together
         ]
+        if together:
+            most = max((longest[robot] for robot in together), key=lambda gap: gap.lasts_s)
+            out.append(
+                f"The data are incomplete: {robots(together)} sent no pose for up to {most.lasts_s:.1f} s, "
+                "for their machine was too slow."
+            )
         return [*out, *self._fell_silent(self.members), *_cut_short(recording)]
 
     @property
@@ -140,11 +149,14 @@ class Completeness:
         known = gap.rule or (hidden and gap.moved_m <= self._a.safe_m)
         return not (known and gap.end_s < self._recording.end_s)
 
-    def _fell_silent(self, among: frozenset[int]) -> list[str]:
-        """Sentences for agents that said nothing more to the end, though nobody had stopped them.
+    def _of_one_cause(self, silent: Collection[int]) -> list[int]:
+        """Which of these are one matter, as they are of a machine that was too slow: what they said may not
+        have come through. None where that is one alone."""
+        late = sorted(on_late_machines(self._recording).intersection(silent))
+        return late if len(late) > 1 else []
 
-        Many of one machine that was too slow are one matter: what they said may not have come through.
-        """
+    def _fell_silent(self, among: frozenset[int]) -> list[str]:
+        """Sentences for agents that said nothing more to the end, though nobody had stopped them."""
         found: dict[int, float] = {}
         recording = self._recording
         law = recording.fleet.control.law
@@ -158,9 +170,7 @@ class Completeness:
             )
             if robot in among and silence_s > SILENCE_S and not ordered:
                 found[robot] = last_s
-        late = on_late_machines(recording).intersection(found)
-        if len(late) < 2:
-            late = frozenset()
+        late = self._of_one_cause(found)
         out = [
             f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
             f"{recording.end_s - last_s:.1f} s of the drive.{hint}"
@@ -170,7 +180,7 @@ class Completeness:
         if late:
             first_s = min(found[robot] for robot in late)
             out.append(
-                f"Nothing more came of the agents of {robots(sorted(late))}, of the first from {first_s:.1f} "
+                f"Nothing more came of the agents of {robots(late)}, of the first from {first_s:.1f} "
                 "s on: their machine was too slow, for them, their router or the program that records."
             )
         return out

@@ -315,6 +315,14 @@ def test_who_stands_on_a_machine_that_runs_late_is_said_to(bench: FleetBench):
     assert watch(bench, 1.0)[-1].reason.endswith("without robot 3 (does not follow, its machine runs late)")
 
 
+def test_who_is_gone_while_machines_run_late_may_be_late_alone(bench: FleetBench):
+    silence(bench, 3)
+    tell(bench, 3, False)
+    bench.agents[1]._overload.heard(3, 1, bench.now, NS_PER_S)
+    reason = watch(bench, 0.1)[-1].reason
+    assert reason.endswith("without robot 3 (its agent is gone, or its machine runs late)")
+
+
 def test_who_is_missed_is_named_once(bench: FleetBench):
     """Robot 3 is heard again, has not said whom it hears, and does not follow."""
     silence(bench, 2, 3)
