@@ -243,7 +243,7 @@ class Command:
 
     def wait_until_driving(self) -> None:
         """Waits until the fleet has driven for 2 s at least: its robots are fast then."""
-        self.wait_for_line(r"(?m)^ +[2-9]\.\d s .* all running(, faults: .*)?$")
+        self.wait_for_line(r"(?m)^ +(?:[2-9]|\d\d)\.\d s .* all running(, faults: .*)?$")
         self.children()
 
     def wait_until_gone(self, pids: Sequence[int], timeout_s: float = PATIENCE_S) -> float:
