@@ -396,7 +396,7 @@ class Agent:
         overload, peers = self._overload, self._peers
         peers.behind_ns, peers.stood = 0, False
         if overload.look(now_ns, drives=self.state in ACTIVE) or rests is not self._rests:
-            self._rests = rests
+            self._rests = peers.rests = rests
             self.period_ns = period_ns = max(overload.period_ns, self._rest_period_ns * rests)
             self._controller.keep_pace(period_ns, self._speed_share(overload.level))
             self._trust.period_s = period_ns / NS_PER_S

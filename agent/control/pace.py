@@ -15,7 +15,7 @@ from agent.fleet.model import Fleet
 
 PERIOD_MAX_S: Final = 0.25
 """No step has a longer period: what is older counts as late (`UNSURE_NS`), and a stop waits no longer."""
-REST_PERIOD_MAX_S: Final = 0.4
+REST_PERIOD_MAX_S: Final = 0.5
 """In a large fleet, while no mission is near."""
 STEPS_MAX: Final = 8
 STANDING_SHARE: Final = 0.7

@@ -61,6 +61,25 @@ def test_every_robot_hears_the_beacons_of_all_others() -> None:
         assert max(ages_ns.values()) < fleet.beacon_rounds_max * fleet.period_ns + NS_PER_S // 10, ages_ns
 
 
+def test_that_agents_tick_rarely_before_a_mission_makes_no_link_late() -> None:
+    """What waits for the own tick is no older on its link. Else who falls silent in the first seconds of a
+    drive would be forgiven more, and all would look where ways meet of those whose messages are late."""
+    simulation = Simulation(resolved(parse_fleet(driving_lattice("many", 30, duration_s=1.0), source="here")))
+    periods: set[int] = set()
+
+    def look(_: float) -> bool:
+        periods.update(agent.period_ns for agent in simulation.agents)
+        return True
+
+    simulation.run(look)
+    assert periods == {NS_PER_S // 10, 2 * NS_PER_S // 5}
+    for agent in simulation.agents:
+        peers = agent._peers
+        assert {
+            peer.robot: peer.lateness.forgiven_ns for peer in peers.known if peer.listened
+        } == dict.fromkeys(peers.listened, 0)
+
+
 def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
     """Nor is it worked out where he might stand: of many robots that is the most that a tick costs."""
     fleet = resolved(parse_fleet(lattice(), source="here"))

@@ -58,6 +58,7 @@ class Peers:
     Attributes:
         behind_ns: how long after its time the tick begins whose messages are taken.
         stood: whether ticks before that were missed: what waited meanwhile is no older on its link than ever.
+        rests: whether ticks are rare, as no mission is near: what comes waits for them, likewise.
         stood_until_ns: until then it counts that the own process stood lately.
         missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
@@ -86,7 +87,7 @@ class Peers:
         self._owner = owner
         self._period_ns = self._round_ns = period_ns
         self.behind_ns = 0
-        self.stood = False
+        self.stood = self.rests = False
         self.stood_until_ns = 0
         self.missed_ns: Callable[[int], int] = _none_missed
         self.listened: Collection[int] = ()
@@ -209,7 +210,7 @@ class Peers:
         if time_ns > peer.direct_ns or peer.deaf:
             unheard = beacon.unheard
             peer.deaf, peer.unheard = self._owner in unheard, len(unheard)
-            self.rows.lacks(unheard, now_ns + beacon.next_ms * NS_PER_MS)
+            self.rows.lacks(unheard, now_ns + beacon.next_ms * NS_PER_MS, near=peer.listened)
         if time_ns <= peer.time_ns:
             return None  # a hand state was quicker
         if time_ns - peer.clock.used_ns < now_ns:
@@ -368,6 +369,8 @@ class Peers:
             self._note_promised(peer, message, now_ns, peer.next_ns)
             peer.hand_next_ns = message.next_ms * NS_PER_MS
             peer.off_m = self._bound_m if peer.hand_next_ns else 0.0
+            if peer.beacon_ns == NEVER and self._rest_ns:  # whose ticks are rare, its beacons are as well
+                peer.next_ns = max(self._beacon_ns, peer.hand_next_ns)
             self._expect_promised(peer)
         else:
             self._note(peer, message, now_ns, age_ns, gap_ns, period_ns)
@@ -406,7 +409,7 @@ class Peers:
         """Has a message counted where it says something: most come in time, and have nothing to say."""
         lateness = peer.lateness
         if lateness.heeds or age_ns > IN_TIME_NS or gap_ns is None or 2 * gap_ns > 3 * period_ns:
-            age = None if self.stood else age_ns
+            age = None if self.stood or self.rests else age_ns
             lateness.take(now_ns, age, _missing(peer, message, gap_ns), period_ns)
 
     def _note_promised(self, peer: Peer, message: HandState | Beacon, now_ns: int, beacon_ns: int) -> None:
@@ -416,7 +419,8 @@ class Peers:
         """
         gap_ns = message.time_ns - peer.direct_ns
         due_ns = min(peer.hand_next_ns or self._round_ns, beacon_ns)
-        age_ns = None if self.stood else now_ns + peer.clock.used_ns - message.time_ns
+        waited = self.stood or self.rests
+        age_ns = None if waited else now_ns + peer.clock.used_ns - message.time_ns
         missing_ns = _missing(peer, message, gap_ns if gap_ns > 0 else None)
         peer.lateness.take_promised(now_ns, age_ns, missing_ns, due_ns, self._beacon_ns)
         self._expect_promised(peer)
