@@ -36,17 +36,20 @@ Point = tuple[float, float, float, float] | None
 
 
 class Caution:
-    """What robot `robot` has to heed; nothing, and at no cost, where no link is late.
+    """What robot `robot` has to heed; nothing, and at no cost, where no link is late by more than matters.
 
     Args:
         keep_m: how far the safety filter keeps robots apart whose place is known.
+        most: no robot goes faster than this, as seen from its place, m/s.
 
     Attributes:
         speed: how fast it may go, as seen from its place, m/s; inf where nothing limits it.
     """
 
-    def __init__(self, robot: int, keep_m: float, peers: Peers, reference: Reference) -> None:
+    def __init__(self, robot: int, keep_m: float, peers: Peers, reference: Reference, most: float) -> None:
         self._robot, self._keep_m, self._peers, self._reference = robot, keep_m, peers, reference
+        # What is late by less than this leaves everybody as fast as he is.
+        self._late_ns = NS_PER_S * (PACE / most) ** 0.5
         self._until_ns = 0
         self.speed = inf
 
@@ -66,6 +69,7 @@ class Caution:
             message = peer.message
             if (
                 not peer.lateness.forgiven_ns
+                or peer.lateness.usual_ns <= self._late_ns
                 or message is None
                 or not message.following
                 or not peer.is_heard(now_ns)

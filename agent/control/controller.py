@@ -133,7 +133,8 @@ class Controller:
         self.mark: Mark = 0, 0
         self.right_of_way: Final = RightOfWay(fleet, robot, self.peers, self.reference, self._references)
         keep_m = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
-        self.caution: Final = Caution(robot, keep_m, self.peers, self.reference)
+        # As seen from a place that moves as fast as robots may.
+        self.caution: Final = Caution(robot, keep_m, self.peers, self.reference, 2.0 * speed_max(fleet))
         self.edges: tuple[tuple[Edge, Peer], ...] = ()
         self._course_edges: tuple[Edge, ...] = ()
         # Who lets go of its edges needs something else that keeps it off the others.
@@ -237,7 +238,7 @@ class Controller:
         begins = before and not self.rests and now_ns > epoch_ns - LOOK_PERIOD_NS
         if (now_ns < self._due_ns and not begins) or not self.proximity.enabled:
             return False
-        waits = self.rests and not held and self.proximity.is_large
+        waits = self.rests and self.proximity.is_large
         self._due_ns = now_ns + (REST_PERIOD_NS if waits else LOOK_PERIOD_NS)
         # While a large fleet starts, or its machines have too much to do, many are not heard: where they
         # might drive is worked out once it matters.

@@ -28,7 +28,13 @@ class Places:
         return *self.places[robot], 0.0, 0.0, 0.0, 0.0
 
 
-def look(places: Places, late_s: float, at: tuple[float, float] = (3.0, 0.0), turned: float = 0.0) -> Caution:
+def look(
+    places: Places,
+    late_s: float,
+    at: tuple[float, float] = (3.0, 0.0),
+    turned: float = 0.0,
+    most: float = 2.0 * MOST,
+) -> Caution:
     """Robot 1 at (-3, 0) hears robot 2 there, late by so much as usual."""
     peers = Peers(1, C1, C2, S // 50, places.motion, most=MOST)
     peers.forecast.epoch_ns = T0
@@ -38,7 +44,7 @@ def look(places: Places, late_s: float, at: tuple[float, float] = (3.0, 0.0), tu
     lateness = peers.get(2).lateness
     lateness.forgiven_ns = max(0, round(late_s * S) - UNSURE_NS // 2)
     lateness.usual_ns = round(late_s * S) if lateness.forgiven_ns else 0
-    caution = Caution(1, 0.27, peers, places)  # type: ignore[arg-type]
+    caution = Caution(1, 0.27, peers, places, most)  # type: ignore[arg-type]
     caution.look(now, Hand(-3.0, 0.0, 0.0, 0.0), [peers.get(2)])
     return caution
 
@@ -52,6 +58,14 @@ def test_two_whose_ways_meet_go_slowly_where_messages_are_late() -> None:
         assert caution.speed == pytest.approx(PACE / late_s**2)
         peer = next(iter(caution._peers.known))
         assert (peer.slowly, peer.slowly_until_ns > T0 + 10 * S) == (caution.speed, True)
+
+
+def test_it_is_not_even_looked_for_where_it_would_leave_them_as_fast_as_they_are() -> None:
+    """At 5 Hz all that is known of others is half a second old, though no link is late."""
+    late_s = 1.0
+    slow, fast = look(THROUGH, late_s, (-1.0, 0.0), most=0.9 * PACE), look(THROUGH, late_s, (-1.0, 0.0))
+    assert (slow.speed, fast.speed) == (inf, pytest.approx(PACE))
+    assert next(iter(slow._peers.known)).slowly == inf
 
 
 def test_where_messages_come_in_time_nobody_does() -> None:

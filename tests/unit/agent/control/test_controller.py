@@ -124,7 +124,9 @@ def test_a_body_on_the_own_way_is_not_driven_through_though_it_was_on_the_same_w
     assert sum(drive.forces[::2]) < -0.5
 
 
-def test_in_a_large_fleet_they_are_looked_for_seldom_before_a_mission_is_near():
+@pytest.mark.parametrize("held", [False, True])
+def test_in_a_large_fleet_they_are_looked_for_seldom_while_it_need_not_know(held: bool):
+    """Before a mission is near, and while it stands for other reasons."""
     looks = []
     for overrides in ((), ("avoidance.beacon_interval_max_s=1.0",)):
         fleet = parse_fleet(PAIR, source="here", overrides=overrides)
@@ -134,10 +136,22 @@ def test_in_a_large_fleet_they_are_looked_for_seldom_before_a_mission_is_near():
         controller.look_round(T0, here, (2,))
         given(controller, 3, 0.5, follows=True)
         now_ns = T0
-        while not controller.look_round(now_ns, here, (2,)):
+        while not controller.look_round(now_ns, here, (2,), held=held):
             now_ns += LOOK_PERIOD_NS // 10
         looks.append(now_ns - T0)
     assert looks == [LOOK_PERIOD_NS, REST_PERIOD_NS]
+
+
+def test_in_a_large_fleet_who_may_go_on_looks_at_once():
+    fleet = parse_fleet(PAIR, source="here", overrides=("avoidance.beacon_interval_max_s=1.0",))
+    controller = Controller(fleet, resolve(fleet), 1)
+    here = hand(Pose(*[0.0] * 5), 0.1)
+    controller.look(T0)
+    controller.peers.forecast.epoch_ns = T0 - S
+    controller.look_round(T0, here, (2,), held=True)
+    given(controller, 3, 0.5, follows=True)
+    assert not controller.look_round(T0 + LOOK_PERIOD_NS, here, (2,), held=True)
+    assert controller.look_round(T0 + LOOK_PERIOD_NS + 1, here, (2,))
 
 
 def test_those_near_are_looked_for_a_few_times_a_second():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peers
-from agent.control.peers.silent_rows import NEVER_CAME_NS, TELLS_NS
+from agent.control.peers.silent_rows import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
 from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
 from tests.unit.agent.control.peers.neighbours import (
     PERIOD,
@@ -130,3 +132,37 @@ def test_of_whom_only_the_own_process_did_not_hear_nothing_is_told():
     known.missed_ns = lambda since_ns: stood_ns
     assert [row.robot for row in rows(known, now_ns)] == [3]
     assert [row.robot for row in rows(known, T0 + stood_ns + UNSURE_NS)] == [2, 3], "it has looked since"
+
+
+def large(**options: Any) -> Peers:
+    """Of a fleet so large that beacons are seldom."""
+    return peers(beacon_ns=S // 5, beacon_max_ns=4 * S, **options)
+
+
+def test_in_a_large_fleet_who_listens_to_a_robot_tells_of_it_and_the_others_of_a_few():
+    """If all told of all, in a fleet in trouble everybody would tell everybody of everybody."""
+    known, robots = large(horizon_s=1.0), tuple(range(2, 12))
+    for robot in robots:
+        heard(known, message(robot, 5, T0, position=(float(robot), 0.0)))
+    known.listen({2, 3, 4, 5}, T0 + PERIOD)
+    now_ns = T0 + S - PERIOD
+    for _ in range(2):
+        told = [row.robot for row in rows(known, now_ns)]
+        assert set(told) >= {2, 3, 4, 5}
+        assert len(told) == 4 + ROWS_OF_MANY
+    seen = {row.robot for _ in range(4) for row in rows(known, now_ns)}
+    assert seen == set(robots), "and yet everybody's turn comes"
+
+
+def test_in_a_large_fleet_one_near_that_lacks_robots_is_told_of_all_of_them():
+    known, robots = large(horizon_s=1.0), tuple(range(5, 12))
+    for robot in (2, 3, *robots):
+        heard(known, message(robot, 5, T0 + S, position=(float(robot), 0.0)), now_ns=T0 + S + PERIOD)
+    known.listen({2}, T0 + S + PERIOD)
+    now_ns = T0 + S + 2 * PERIOD
+    assert rows(known, now_ns) == (), "all are heard"
+    far, near = (beacon(sender, T0 + S + PERIOD)._replace(unheard=robots) for sender in (3, 2))
+    assert known.accept_beacon(far, now_ns) is None
+    assert len(rows(known, now_ns)) == ROWS_OF_MANY
+    assert known.accept_beacon(near, now_ns) is None
+    assert {row.robot for row in rows(known, now_ns)} == set(robots)
