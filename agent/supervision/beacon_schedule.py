@@ -10,7 +10,7 @@ What happens to all at once, as an order does, they tell in turn, and again each
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from math import hypot
 from typing import Final
 
@@ -49,6 +49,8 @@ class BeaconSchedule:
             None once a mission is near: then of all.
         tick_ns: time between two ticks.
         level: by how many steps the others want the rate to fall: who wants no more has no news.
+        stands: whether all stand for an overloaded machine. Nobody then drives into one that others do not
+            hear: they are told of it when the next beacon is due.
     """
 
     def __init__(self, fleet: Fleet, robot: int, phase_ns: int) -> None:
@@ -60,6 +62,7 @@ class BeaconSchedule:
         self.is_seldom: Final = fleet.is_large
         self.minds: Collection[int] | None = None
         self.level = 0
+        self.stands = False
         self.tick_ns = fleet.period_ns
         # Others for each, else all that hurried once for the same reason do so again in one tick.
         self._pause_ns: Final = round((0.5 + shares[1]) * len(fleet.robots) * NS_PER_S / HURRIES_HZ)
@@ -83,24 +86,34 @@ class BeaconSchedule:
         before, self._turn = self._turn, turn
         return not past if before is None else turn != before
 
-    def timed(self, beacon: Beacon) -> Beacon | None:
-        """What is to be said at a turn: this, with until when the next one comes, or nothing."""
+    def timed(self, beacon: Beacon, completed: Callable[[Beacon], Beacon] | None = None) -> Beacon | None:
+        """What is to be said at a turn: this, with until when the next one comes, or nothing.
+
+        Args:
+            completed: adds to a beacon what it tells of robots that are not heard. In a fleet in trouble
+                that is most of what a tick takes: so it is asked only where it may be said.
+        """
+        timer, now_ns, said = self._timer, beacon.time_ns, self._said
+        hurries = now_ns - self._hurried_ns >= self._pause_ns
+        if completed is not None and (said is None or hurries or not self.is_seldom):
+            beacon, completed = completed(beacon), None
         if not self.is_seldom:
             return beacon
-        timer, now_ns = self._timer, beacon.time_ns
-        said = self._said
         if said is None:
             timer.changed(self._again_ns)
         elif _is_off(beacon, said) or beacon.overload > max(said.overload, self.level):
             timer.changed()
-        elif now_ns - self._hurried_ns >= self._pause_ns and self._has_news(beacon, said):
+        elif hurries and self._has_news(beacon, said):
             self._hurried_ns, self._is_missed = now_ns, False
             timer.changed()
         if said is not None and self._tells_orders(beacon, said):
             timer.changed(self._again_ns)
         if not timer.is_due(now_ns, max(self.tick_ns, timer.least_ns)):
             return None
-        most_ns = RELAY_NS if any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent) else timer.most_ns
+        if completed is not None:
+            beacon = completed(beacon)
+        relays = not self.stands and any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent)
+        most_ns = RELAY_NS if relays else timer.most_ns
         speed = hypot(beacon.vx, beacon.vy)
         if speed * most_ns > WAY_M * NS_PER_S:
             most_ns = round(WAY_M / speed * NS_PER_S) // timer.least_ns * timer.least_ns

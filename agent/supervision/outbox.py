@@ -79,7 +79,7 @@ class Outbox:
         """
         next_ns = max(period_ns, promise_ns)
         self._next_ms = -(-next_ns // NS_PER_MS) if next_ns > self._period_ns else 0
-        self._schedule.tick_ns = period_ns
+        self._schedule.tick_ns, self._schedule.stands = period_ns, promise_ns > 0
 
     def begin(self, epoch_ns: int) -> None:
         """Counts rounds from the epoch of a mission."""
@@ -145,7 +145,9 @@ class Outbox:
         if self._schedule.is_seldom:
             self._schedule.minds = None if self._peers.rows.are_told(now_ns) else self._peers.listened
             self._schedule.level = self.others_overload
-        message = self._schedule.timed(self._beacon(now_ns, here, doubt, following=following))
+        message = self._schedule.timed(
+            self._beacon(now_ns, here, doubt, following=following), self._with_silent
+        )
         return [] if message is None else [(self._key_beacon, encode(message))]
 
     def heard(self, beacon: Beacon) -> None:
@@ -163,8 +165,13 @@ class Outbox:
             doubt,
             *self._missions.mark,
             *self._latch.mark,
-            self._peers.silent(now_ns),
-            self._peers.given_up(now_ns),
+            (),
+            (),
             overload=self.overload,
             stood_ms=self.stood_ms,
         )
+
+    def _with_silent(self, beacon: Beacon) -> Beacon:
+        """A beacon with what it tells of robots that are not heard."""
+        peers, now_ns = self._peers, beacon.time_ns
+        return beacon._replace(silent=peers.silent(now_ns), unheard=peers.given_up(now_ns))

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Any, Final
 
 from agent.common.time import NS_PER_S
-from agent.control.peers.peer import Peer
+from agent.control.peers.peer import NEVER, Peer
 from agent.links.radio import Radio
 from agent.messages.types import NeighbourStatus, Status, Total
 from agent.supervision.overload import Overload
@@ -92,14 +92,19 @@ class StatusReport:
             situation: state, the transition that led there, and its reason.
             mission_version, stop_version: of the mission and the stop or resume that were taken last.
             neighbours: peers at the other ends of the robot's edges, in their order.
-            known: all peers that were heard; gone through several times.
+            known: all other robots, heard or not.
         """
+        received = lost = delayed = duplicated = 0
+        for peer in known:  # once: in a large fleet these are many
+            if peer.hand_ns != NEVER:
+                received, lost = received + peer.received, lost + peer.lost
+                delayed, duplicated = delayed + peer.delayed, duplicated + peer.duplicated
         counters = {
             "sent": self.sent_hands,
-            "received": sum(peer.received for peer in known),
-            "lost": sum(peer.lost for peer in known),
-            "delayed": sum(peer.delayed for peer in known),
-            "duplicated": sum(peer.duplicated for peer in known),
+            "received": received,
+            "lost": lost,
+            "delayed": delayed,
+            "duplicated": duplicated,
             "corrupted": self.corrupted,
             "rejected": sum(self._rejected.values()),
             "overruns": self._overruns,

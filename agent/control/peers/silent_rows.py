@@ -16,7 +16,8 @@ from agent.messages.types import SILENT_MAX, Silent
 ELSEWHERE_NS: Final = NS_PER_S
 """For so long a robot that is heard here is told of to one that has said that it does not hear it."""
 ROWS_OF_MANY: Final = 2
-"""Of so many silent robots it is worked out for one beacon where they may be, in a large fleet."""
+"""In a large fleet it is worked out for one beacon of so many silent robots where they may be; and it tells
+of so many that neither are near its sender nor lacked by one that is."""
 TELLS_NS: Final = 2 * NS_PER_S
 """So long before the epoch of a mission robots begin to tell of those that they do not hear: nobody drives
 before that, and while a large fleet starts most are not heard yet."""
@@ -49,7 +50,9 @@ class SilentRows:
         self._known, self._whereabouts, self._forecast, self._starts = known, whereabouts, forecast, starts
         self._horizon_ns, self._is_large = horizon_s * NS_PER_S, is_large
         self._elsewhere: dict[int, int] = {}
-        self._told = 0
+        self._lacked_near: dict[int, int] = {}
+        """Likewise, by those that this robot listens to."""
+        self._told = self._told_far = 0
 
     def are_told(self, now_ns: int) -> bool:
         """Whether a mission is near, or has begun, so that others need to know who is not heard here."""
@@ -62,16 +65,23 @@ class SilentRows:
         most = max((peer.unheard for peer in self._known.values()), default=0)
         return -(-most // (ROWS_OF_MANY if self._is_large else SILENT_MAX))
 
-    def lacks(self, robots: Sequence[int], now_ns: int) -> None:
-        """Takes that somebody does not hear these robots, and says no more until `now_ns`."""
+    def lacks(self, robots: Sequence[int], now_ns: int, *, near: bool = True) -> None:
+        """Takes that somebody, who is `near` if this robot listens to him, does not hear these robots, and
+        says no more until `now_ns`."""
         until_ns = now_ns + ELSEWHERE_NS
         for robot in robots:
             self._elsewhere[robot] = until_ns
+            if near:
+                self._lacked_near[robot] = until_ns
 
     def at(self, now_ns: int, *, was_there: bool, missed_ns: Callable[[int], int]) -> tuple[Silent, ...]:
         """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
         they are too many for one, or for a tick in which to work out where all of them may be. Nothing while
         no mission is near.
+
+        In a large fleet those tell of a robot who listen to it, or to one that lacks it, which is what
+        (S2) and (S5) ask for. If all the others did, in a fleet in trouble everybody would tell everybody of
+        everybody.
 
         Args:
             was_there: whether the own robot has listened since the drive began, so that who never came to it
@@ -84,16 +94,25 @@ class SilentRows:
         elsewhere, epoch_ns = self._elsewhere, self._forecast.epoch_ns
         begun = now_ns > epoch_ns
         told: list[Peer] = []
+        far: list[Peer] = []
         for peer in self._known.values():
             if peer.is_gone:
                 continue
+            robot = peer.robot
             if peer.message is None:
-                if begun and peer.robot in self._starts and (peer.never_came or was_there):
-                    told.append(peer)
-            elif elsewhere.get(peer.robot, 0) > now_ns or (
-                not peer.is_heard(now_ns) and not _is_own_doing(peer, now_ns, missed_ns)
+                if not (begun and robot in self._starts and (peer.never_came or was_there)):
+                    continue
+            elif elsewhere.get(robot, 0) <= now_ns and (
+                peer.is_heard(now_ns) or _is_own_doing(peer, now_ns, missed_ns)
             ):
-                told.append(peer)
+                continue
+            is_near = peer.listened or self._lacked_near.get(robot, 0) > now_ns
+            (told if is_near or not self._is_large else far).append(peer)
+        if far:
+            first = self._told_far % len(far)
+            some = self._in_time((far[first:] + far[:first])[:ROWS_OF_MANY], now_ns)
+            self._told_far = first + len(some)
+            told += some
         if len(told) > (ROWS_OF_MANY if self._is_large else SILENT_MAX):
             first = self._told % len(told)
             told = (told[first:] + told[:first])[:SILENT_MAX]

@@ -248,6 +248,37 @@ def test_what_can_wait_hurries_no_oftener_than_its_share() -> None:
     assert len(bench.said) >= 20, "where it is is told at once, always"
 
 
+def test_who_is_silent_is_worked_out_only_where_it_may_be_said() -> None:
+    """In a fleet in trouble that is most of what a tick takes."""
+    schedule = BeaconSchedule(fleet(robots=60, beacon_interval_max_s=1.6), 2, 0)
+    asked: list[int] = []
+
+    def completed(made: Beacon) -> Beacon:
+        asked.append(made.time_ns)
+        return made._replace(unheard=(100 + len(asked) % 7,))
+
+    said = []
+    for k in range(200):
+        now_ns = T0 + k * 100 * NS_PER_MS
+        if schedule.is_turn(now_ns) and (made := schedule.timed(beacon(now_ns), completed)) is not None:
+            said.append(made.time_ns)
+            assert made.unheard
+    assert set(said) <= set(asked)
+    assert len(asked) <= len(said) + 20 * HURRIES_HZ / 60 + 1
+    small, asked[:] = BeaconSchedule(fleet(), 2, 0), []
+    assert small.timed(beacon(T0), completed) is not None
+    assert asked == [T0]
+
+
+def test_while_all_stand_for_an_overloaded_machine_nobody_relays_every_second() -> None:
+    silent = Silent(5, T0 + 10**15, True, *[0.0] * 7)
+    for stands, most_s in ((False, RELAY_NS / NS_PER_S), (True, 1.6)):
+        bench = Bench()
+        bench.schedule.stands = stands
+        bench.run(10.0, silent=(silent,))
+        assert max(bench.later_s()) == most_s
+
+
 @pytest.mark.parametrize("spread", [True])
 def test_what_all_hurried_for_at_once_they_do_not_hurry_for_at_once_again(spread: bool) -> None:
     """Each has its share of what hurries; if all had it back in one tick, all would speak in that."""
