@@ -77,6 +77,8 @@ class Server:
         self._pid = os.getpid()
         self._numbers: dict[int, int] = {}
         """Who asked for a process gave it a number: those of the system are given again."""
+        self._yields = False
+        """Whether what it forks leaves more of the processors to others."""
         self._starting: dict[int, float] = {}
         """Pipes whose other end a process closes when it has started, and until when that is waited for."""
         self._null = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
@@ -129,7 +131,8 @@ class Server:
             self._settle()
             return None
         if "yields" in request:
-            scheduling.yield_always()
+            scheduling.yield_at_start()
+            self._yields = True
             return None
         (log,) = handles
         forked = Forked(request["module"], request["arguments"])
@@ -151,6 +154,8 @@ class Server:
         if pid == 0:
             os.close(starting)
             preloaded.on_start(partial(os.close, has_started))
+            if self._yields:
+                preloaded.on_start(scheduling.yield_once_started)
             self._become(forked, log)
             os.write(has_started, b".")
             return forked

@@ -5,8 +5,10 @@ makes that cheap is that nobody is interrupted: a round that ends before others 
 many messages where it would have found one, pass on more with less. With SCHED_BATCH (sched(7)) who wakes up
 waits for the end of what runs. Kernels share processors out by sessions where they can (autogroup), which
 leaves a router of a hundred robots with one share of two hundred; so all are in the session of the command,
-as they would be in one control group of a desktop, and robots are a little nicer than who serves them all.
-Much nicer would be worse: a router that always comes first passes on each message by itself.
+as they would be in one control group of a desktop, and robots are nicer than who serves them all: where a
+hundred of them have more to do than there is time for, a router with three times the share of each still has
+3 % of a processor, and nobody hears anybody. Those that still start are less nice than those that wait for
+them.
 """
 
 from __future__ import annotations
@@ -14,10 +16,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Final
 
-YIELDING: Final = 5
-"""So much nicer are robots than their router and the command: those have three times their share."""
+YIELDING: Final = 10
+"""So much nicer are robots than their router and the command: those have nine times their share."""
+STARTING: Final = 5
+"""And so much while they start."""
+_THREADS: Final = Path("/proc/self/task")
 _BATCH: Final[int] = getattr(os, "SCHED_BATCH", 0)
 """Only Linux has it; elsewhere all works without, with fewer robots."""
 
@@ -37,12 +43,24 @@ def interrupting_nobody() -> Iterator[None]:
         _schedule(policy)
 
 
-def yield_always() -> None:
+def yield_at_start() -> None:
     """From now on this process, which has one thread, and all that it forks interrupt nobody, and leave more
     to others. Once, however often it is called."""
     if _BATCH:
         _schedule(_BATCH)
-    os.nice(max(0, YIELDING - os.nice(0)))
+    os.nice(max(0, STARTING - os.nice(0)))
+
+
+def yield_once_started() -> None:
+    """From now on all threads of this process leave still more to others: on Linux each has a niceness of its
+    own."""
+    more = YIELDING - STARTING
+    if not _THREADS.exists():
+        os.nice(more)
+        return
+    for thread in map(int, os.listdir(_THREADS)):
+        with suppress(OSError):  # it has ended
+            os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + more)
 
 
 def _schedule(policy: int) -> None:

@@ -21,7 +21,7 @@ from deploy.processes import child, fork_server, forking
 from deploy.processes.child import Child, environment
 from deploy.processes.command_line import ROOM
 from deploy.processes.forking import UNSEEN, ForkedProcess, ForkServer
-from deploy.processes.scheduling import YIELDING
+from deploy.processes.scheduling import STARTING, YIELDING
 
 PATIENCE_S: Final = 30.0
 PROGRAM: Final = """
@@ -132,7 +132,10 @@ def test_all_that_is_forked_can_be_told_to_yield(server: ForkServer, tmp_path: P
         server.yields()
     after = start(server, tmp_path / "after", "tell")
     assert scheduled(before.pid) == (os.sched_getscheduler(0), own)
-    assert scheduled(after.pid) == (os.SCHED_BATCH, max(own, YIELDING))
+    assert scheduled(after.pid) == (os.SCHED_BATCH, max(own, STARTING))
+    started = start(server, tmp_path / "started", "start", str(tmp_path))
+    more = max(own, STARTING) + YIELDING - STARTING
+    wait_for(lambda: scheduled(started.pid) == (os.SCHED_BATCH, min(19, more)))
 
 
 def test_a_fork_has_nothing_of_the_server(server: ForkServer, tmp_path: Path) -> None:

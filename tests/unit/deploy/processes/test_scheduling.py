@@ -11,7 +11,7 @@ from typing import Final
 import pytest
 
 from deploy.processes import scheduling
-from deploy.processes.scheduling import YIELDING, interrupting_nobody
+from deploy.processes.scheduling import STARTING, YIELDING, interrupting_nobody
 
 TELL: Final = "import os; print(os.sched_getscheduler(0), os.nice(0))"
 
@@ -34,9 +34,30 @@ def test_what_is_started_meanwhile_interrupts_nobody() -> None:
 
 
 def test_who_yields_is_nicer_once() -> None:
-    code = f"from deploy.processes.scheduling import yield_always; yield_always(); yield_always(); {TELL}"
+    code = (
+        f"from deploy.processes.scheduling import yield_at_start; yield_at_start(); yield_at_start(); {TELL}"
+    )
     told = subprocess.check_output([sys.executable, "-c", code]).split()
-    assert tuple(map(int, told)) == (os.SCHED_BATCH, max(os.nice(0), YIELDING))
+    assert tuple(map(int, told)) == (os.SCHED_BATCH, max(os.nice(0), STARTING))
+
+
+THREADS: Final = """
+import os, threading
+from deploy.processes.scheduling import yield_at_start, yield_once_started
+yield_at_start()
+done = threading.Event()
+thread = threading.Thread(target=done.wait)
+thread.start()
+yield_once_started()
+print(os.nice(0), os.getpriority(os.PRIO_PROCESS, thread.native_id))
+done.set()
+"""
+
+
+def test_who_has_started_is_nicer_with_all_its_threads() -> None:
+    least = max(os.nice(0), STARTING) + YIELDING - STARTING
+    told = subprocess.check_output([sys.executable, "-c", THREADS]).split()
+    assert list(map(int, told)) == [min(19, least)] * 2
 
 
 def test_a_system_that_has_no_such_thing_or_forbids_it_goes_without(monkeypatch: pytest.MonkeyPatch) -> None:
