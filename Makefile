@@ -35,9 +35,10 @@ demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves i
 	if [ -e '$(DEMO_OUT)/report.html' ]; then printf '\nReport: %s\n' '$(abspath $(DEMO_OUT))/report.html'; fi; \
 	exit $$status
 
-test: $(VENV)/.dev ## all tests: first those that compute, two at a time, then those that start processes
+test: $(VENV)/.dev ## all tests: those that compute, those that start processes, those that need a machine alone
 	$(PY) -m pytest -n 2 -m '$(REST)' $(call junit,computing)
-	$(PY) -m pytest $(WAITING) -m process $(call junit,processes)
+	$(PY) -m pytest $(WAITING) -m 'process and not alone' $(call junit,processes)
+	$(PY) -m pytest -m 'process and alone' $(call junit,alone)
 
 check: lint ## the quick loop: lint, then the fast tests
 	$(PY) -m pytest -n 2 -m '$(QUICK)' $(call junit,quick)

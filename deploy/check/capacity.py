@@ -19,15 +19,17 @@ from deploy.check.network import STATUS_HZ, load_of
 
 ROBOTS_MIN: Final = 13
 """Smaller fleets are not looked at: they fit."""
-AGENT_TICK_S: Final = 0.95e-3
+AGENT_S: Final = 4.2e-3
+AGENT_TICK_S: Final = 0.36e-3
 MESH_TICK_S: Final = 0.35e-3
 AGENT_MESSAGE_S: Final = 38e-6
-PLANT_TICK_S: Final = 0.36e-3
+PLANT_TICK_S: Final = 0.34e-3
 ROUTER_MESSAGE_S: Final = 15e-6
-RECORDED_S: Final = 75e-6
-"""Processor time, s, Zenoh's part in it: of an agent for a round of its loop, so much more where it says what
-it says to each of the others, and for a message that it hears; of a plant for a round; of a router for a
-message that it passes on; of `run` for one that it records."""
+RECORDED_S: Final = 70e-6
+"""Processor time, s, Zenoh's part in it. Of an agent for a second at any rate (it looks who is near, tells
+its status, keeps its links alive), for a round of its loop, so much more where it says what it says to each
+of the others, and for a message that it hears; of a plant for a round; of a router for a message that it
+passes on; of `run` for one that it records."""
 FULL: Final = 0.65
 """So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
 takes more than driving. What is nearly as much slows down at times (`agent.supervision.overload`)."""
@@ -80,7 +82,7 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
     routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
     tick_s = AGENT_TICK_S + (0.0 if fleet.is_routed else MESH_TICK_S)
     return Cost(
-        tick_s * rate + AGENT_MESSAGE_S * heard,
+        AGENT_S + tick_s * rate + AGENT_MESSAGE_S * heard,
         PLANT_TICK_S * rate,
         ROUTER_MESSAGE_S * routed,
         RECORDED_S * recorded,

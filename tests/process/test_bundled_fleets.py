@@ -12,6 +12,8 @@ from deploy.console.data_files import FLEETS, bundled
 from deploy.recording.mcap_reader import read_run
 from tests.process.harness import BUSY, Command, no_trouble_in_logs
 
+pytestmark = pytest.mark.alone
+
 DRIVEN_ELSEWHERE = {
     "delta": "tests/process/test_run.py",
     "pair": "tests/process/test_run.py",

@@ -34,6 +34,8 @@ from tests.process.harness import (
     wait_for,
 )
 
+pytestmark = pytest.mark.alone
+
 KEYS = {
     "fleet", "law", "seed", "mode", "robots", "edges", "rate_hz", "duration_s", "min_distance_m",
     "settling_time_s", "final_distance_error_m", "final_tracking_error_m", "rms_distance_error_m",
