@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Sequence
 from typing import Final
 
@@ -27,6 +28,7 @@ class Attached:
 
     def __init__(self, fleet: Fleet) -> None:
         self.ours: Final = False
+        self.begun_s: Final = time.monotonic()
         self.names: Final = {
             (robot, role): f"robot {robot}'s {role}" for robot in fleet.ids for role in ROLES
         }

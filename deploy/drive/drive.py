@@ -138,7 +138,8 @@ class Drive:
             waited_s = time.monotonic() - begun
             if not missing and not alive:
                 alive = True
-                self._view.say(f"all {len(names)} processes alive after {waited_s:.2f} s")
+                alive_s = time.monotonic() - self._processes.begun_s
+                self._view.say(f"all {len(names)} processes alive after {alive_s:.2f} s")
             fleet_state.ask()
             now_ns = self._clock.now_ns()
             refusals = self._checks.refusals(now_ns)

@@ -59,6 +59,7 @@ class Processes:
         )
         self._look, self._orders, self._server = look, orders, server
         self.ours: Final = True
+        self.begun_s = time.monotonic()
         self._children: dict[Process, Child] = {}
         self._killed: set[Process] = set()
         self._dead: set[Process] = set()
@@ -77,7 +78,7 @@ class Processes:
         nobody there. Meanwhile what forks the others loads what those need. Once."""
         if self._has_begun:
             return
-        self._has_begun = True
+        self._has_begun, self.begun_s = True, time.monotonic()
         fleet = self._fleet
         routers = [router.where for router in fleet.routers]
         for number in range(1, len(routers) + 1):

@@ -26,6 +26,7 @@ class FleetProcesses(Protocol):
         names: all agents and plants, and how each is called.
         ours: whether they end with the drive: then one that dies ends it, and it ends with a stop in any
             case. Others' are left as they were found when no mission was given.
+        begun_s: since when they are started, or waited for (monotonic clock, s).
     """
 
     @property
@@ -33,6 +34,9 @@ class FleetProcesses(Protocol):
 
     @property
     def ours(self) -> bool: ...
+
+    @property
+    def begun_s(self) -> float: ...
 
     def up(self, robot: int, role: str) -> bool:
         """Whether a process should run."""

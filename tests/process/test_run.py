@@ -121,7 +121,8 @@ def test_it_says_when_all_are_alive(delta: tuple[Path, Command, int]) -> None:
     told = re.search(r"^all 12 processes alive after (\d+\.\d+) s$", command.err, re.MULTILINE)
     assert told is not None, command.told()
     measured("alive, s", command.alive_s)
-    assert float(told[1]) <= command.alive_s  # the line counts from the first process on
+    # The line counts from the first process on, and twelve of them take a while.
+    assert 0.1 < float(told[1]) <= command.alive_s
 
 
 def test_no_message_is_lost_on_this_machine(delta: tuple[Path, Command, int]) -> None:
