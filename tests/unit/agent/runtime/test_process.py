@@ -266,8 +266,8 @@ def test_a_terminal_that_is_closed_ends_a_process_unless_it_is_to_ignore_that(ig
     """Or it would end at once, without braking."""
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
     try:
-        if ignored:
-            signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        # Whatever these tests were started with, nohup(1) maybe.
+        signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
         shutdown = Shutdown(with_parent=False)
         os.kill(os.getpid(), signal.SIGHUP)
         assert (shutdown.asked, shutdown.why) == ((False, "") if ignored else (True, "SIGHUP"))
