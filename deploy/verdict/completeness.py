@@ -163,7 +163,8 @@ class Completeness:
         hint = "" if law is None else f" Its law, {law}, may hang."
         for robot, data in recording.robots.items():
             last_s = float(data.status.t[-1]) if len(data.status) else inf
-            silence_s = recording.end_s - last_s
+            # Before the drive robots may speak seldom; one that ends at once has nothing to miss.
+            silence_s = recording.end_s - max(last_s, 0.0)
             ordered = any(
                 down.start_s <= last_s + SILENCE_S and down.end_s > last_s + SILENCE_S
                 for down in downs(recording, robot, "agent")
@@ -173,7 +174,7 @@ class Completeness:
         late = self._of_one_cause(found)
         out = [
             f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
-            f"{recording.end_s - last_s:.1f} s of the drive.{hint}"
+            f"{recording.end_s - max(last_s, 0.0):.1f} s of the drive.{hint}"
             for robot, last_s in found.items()
             if robot not in late
         ]

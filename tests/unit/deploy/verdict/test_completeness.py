@@ -52,6 +52,24 @@ def test_a_member_that_is_gone_is_missed() -> None:
     ]
 
 
+@pytest.mark.parametrize(("end_s", "lost"), [(0.1, False), (3.0, True)])
+def test_what_was_not_said_before_the_drive_is_not_missed(end_s: float, lost: bool) -> None:
+    """A Ctrl-C as it begins: agents of a large fleet had said little for seconds, as they only waited."""
+    fleet = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=end_s, rate_hz=10.0)
+    sent = messages(fleet, in_formation(fleet))
+    late_ns = EPOCH_NS + 100_000_000
+    recording = recorded(
+        fleet, [each for each in sent if not (type(each[2]) is Status and each[2].time_ns > late_ns)]
+    )
+    for robot in recording.robots.values():
+        assert list(robot.status.t) == [0.0]
+    recording.robots[2].status.t[:] = -2.5
+    recording.robots[1].status.t[:] = end_s
+    reasons = Completeness(recording, analyse(recording, resolve(fleet))).reasons
+    said = "The agent of robot 2 said nothing more from -2.5 s on, in the last 3.0 s of the drive."
+    assert [each for each in reasons if "said nothing more" in each] == [said] * lost
+
+
 def test_one_that_was_replaced_or_left_is_not() -> None:
     recording = dead(3.05)
     data = Completeness(recording, without_place(recording, 5.0))
