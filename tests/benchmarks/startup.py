@@ -144,7 +144,7 @@ def once(folder: Path, fleet: str, processes: int, timeout_s: float = TIMEOUT_S)
         if not lines.wait(PORTS, timeout_s):
             raise BenchmarkError("handfast run never started its processes")
         words = lines.text[PORTS].split(PORTS)[1].split()
-        ports = set(range(int(words[0]), int(words[2]) + 1))
+        ports = set(range(int(words[0]), int(words[2].rstrip(b",")) + 1))
         deadline = begun + timeout_s
         while not ports <= listening() and time.perf_counter() < deadline:
             time.sleep(POLL_S)
