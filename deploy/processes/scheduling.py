@@ -52,8 +52,8 @@ def yield_at_start() -> None:
 
 
 def yield_once_started() -> None:
-    """From now on all threads of this process leave still more to others: on Linux each has a niceness of its
-    own."""
+    """From now on all threads of this process leave still more to others, by `YIELDING` less `STARTING`: on
+    Linux each has a niceness of its own."""
     more = YIELDING - STARTING
     if not _THREADS.exists():
         os.nice(more)

@@ -157,7 +157,7 @@ class Completeness:
 
     def _fell_silent(self, among: frozenset[int]) -> list[str]:
         """Sentences for agents that said nothing more to the end, though nobody had stopped them."""
-        found: dict[int, float] = {}
+        found: dict[int, tuple[float, float]] = {}
         recording = self._recording
         law = recording.fleet.control.law
         hint = "" if law is None else f" Its law, {law}, may hang."
@@ -170,16 +170,16 @@ class Completeness:
                 for down in downs(recording, robot, "agent")
             )
             if robot in among and silence_s > SILENCE_S and not ordered:
-                found[robot] = last_s
+                found[robot] = last_s, silence_s
         late = self._of_one_cause(found)
         out = [
             f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
-            f"{recording.end_s - max(last_s, 0.0):.1f} s of the drive.{hint}"
-            for robot, last_s in found.items()
+            f"{silence_s:.1f} s of the drive.{hint}"
+            for robot, (last_s, silence_s) in found.items()
             if robot not in late
         ]
         if late:
-            first_s = min(found[robot] for robot in late)
+            first_s = min(found[robot][0] for robot in late)
             out.append(
                 f"Nothing more came of the agents of {robots(late)}, of the first from {first_s:.1f} "
                 "s on: their machine was too slow, for them, their router or the program that records."

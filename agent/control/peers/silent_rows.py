@@ -65,7 +65,7 @@ class SilentRows:
         most = max((peer.unheard for peer in self._known.values()), default=0)
         return -(-most // (ROWS_OF_MANY if self._is_large else SILENT_MAX))
 
-    def lacks(self, robots: Sequence[int], now_ns: int, *, near: bool = True) -> None:
+    def lacks(self, robots: Sequence[int], now_ns: int, *, near: bool) -> None:
         """Takes that somebody, who is `near` if this robot listens to him, does not hear these robots, and
         says no more until `now_ns`."""
         until_ns = now_ns + ELSEWHERE_NS
