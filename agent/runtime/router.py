@@ -108,7 +108,7 @@ def serve(
             now_ns = time.monotonic_ns()
             for key, here in presence.update() if presence is not None else ():
                 robot, role = robot_of_alive(key) or (0, "")
-                log(f"robot {robot}'s {role} {'came' if here else 'is gone'}")
+                log(f"robot {robot}'s {role} {'is connected' if here else 'is not connected any more'}")
             for line in zenoh_log.lines(now_ns):
                 log(line)
             for endpoint in router.look(now_ns):

@@ -1,8 +1,8 @@
 """How far a robot trusts its neighbours, and what it does about those that it cannot trust (PURE).
 
 A neighbour's last state is carried forward as it grows old; from `supervision.slow_after_s` on the robot
-drives slower, and from `control.prediction_horizon_s` on, or as soon as the neighbour's process is seen to
-be gone, trust in that edge fades. So it does for a neighbour that is heard but does not follow the law. The
+drives slower, and from `control.prediction_horizon_s` on, or as soon as the connection to its agent is lost,
+trust in that edge fades. So it does for a neighbour that is heard but does not follow the law. The
 edge comes back as slowly as trust does. It keeps away from whom it does not trust, too.
 """
 
@@ -212,6 +212,7 @@ class NeighbourTrust:
         if age is None:
             return peer.name
         if not peer.here and age - peer.hand_next_ns <= self._horizon_ns:
-            or_late = ", or its machine runs late" if self._overload.level else ""
-            return f"{peer.name} (its agent is gone{or_late})"
+            # A token that is lost tells no more: the agent has ended, is frozen, or is cut off.
+            may_be_late = ", its machine may run late" if self._overload.level else ""
+            return f"{peer.name} (no connection to its agent{may_be_late})"
         return f"{peer.name} ({age / NS_PER_S:.1f} s)"

@@ -23,7 +23,8 @@ NAMED_MAX: Final = 6
 class Attached:
     """The agents and plants of `fleet`, wherever they run.
 
-    A process that disappears is only reported: what runs it starts it again, and the others drive on.
+    A connection that is lost is only reported: whether its process has ended, is frozen or is cut off is not
+    known here; what runs it starts it again, and the others drive on.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -54,15 +55,15 @@ class Attached:
                 since_s = self._gone_s.pop(process)
                 back.append(name)
                 if since_s is not None and time_s is not None and time_s > 0.0:
-                    self._away.append(f"{name.capitalize()} was gone from {since_s:.1f} s to {time_s:.1f} s")
+                    self._away.append(f"No connection to {name} from {since_s:.1f} s to {time_s:.1f} s")
         self._present = frozenset(present)
         if gone and self._records and time_s is not None and time_s > 0.0:
             self._unseen |= {
                 robot for robot in self._ids if all((robot, role) in self._gone_s for role in ROLES)
             }
         at = "" if time_s is None else f"{time_s:.1f} s: "
-        sentences = [f"{at}gone: {_named(gone)}"] if gone else []
-        return [*sentences, f"{at}back: {_named(back)}"] if back else sentences
+        sentences = [f"{at}no connection to {_named(gone)}"] if gone else []
+        return [*sentences, f"{at}connected again: {_named(back)}"] if back else sentences
 
     @property
     def warnings(self) -> list[str]:
@@ -83,7 +84,7 @@ class Attached:
     def lacking(self, members: Collection[int]) -> list[str]:
         out = []
         for process, since_s in self._gone_s.items():
-            text = f"{self.names[process].capitalize()} is gone"
+            text = f"No connection to {self.names[process]}"
             text += "" if since_s is None else f" since {since_s:.1f} s"
             if process[0] in members:
                 out.append(f"{text}.")

@@ -153,7 +153,7 @@ class FleetState:
         return self.processes.look(self.present, self.time_s)
 
     def _forget(self, robot: int, role: str) -> None:
-        """What a process said last does not hold any more: it is gone."""
+        """What a process said last does not hold any more: there is no connection to it."""
         if role == "agent":
             self.watch.forget(robot)
         else:

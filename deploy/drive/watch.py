@@ -119,7 +119,7 @@ class Watch:
                 self._epoch_ns = message.epoch_ns
 
     def forget(self, robot: int) -> None:
-        """What its agent said last does not hold any more: the agent is gone."""
+        """What its agent said last does not hold any more: there is no connection to it."""
         self.statuses.pop(robot, None)
         self.hands.pop(robot, None)
         self._silent.forget(robot)

@@ -80,9 +80,9 @@ def test_one_drive_after_another(tmp_path: Path) -> None:
             assert fleet.told_by("drive")[0] == 2
             fleet.signal(2, "agent", signal.SIGKILL)
             fleet.processes[2, "agent"].wait()
-            command.wait_for_line(r"\d s: gone: robot 2's agent\n")
+            command.wait_for_line(r"\d s: no connection to robot 2's agent\n")
             fleet.start(2, "agent")
-            command.wait_for_line(r"\d s: back: robot 2's agent\n")
+            command.wait_for_line(r"\d s: connected again: robot 2's agent\n")
             fleet.wait_until_all("running")
             assert end(fleet, command) == 0, command.told()
         assert "1.1 times the size" in command.err
@@ -90,7 +90,7 @@ def test_one_drive_after_another(tmp_path: Path) -> None:
         assert isinstance(verdict, dict)
         assert verdict["passed"], verdict
         assert [re.sub(r"[\d.]+ s", "T", line) for line in verdict["warnings"]] == [
-            "Robot 2's agent was gone from T to T."
+            "No connection to robot 2's agent from T to T."
         ]
         assert order_driven(fleet).reason == OVER
         assert not [each for each in running() if each.name == fleet.name]

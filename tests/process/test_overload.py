@@ -40,4 +40,4 @@ def test_one_that_is_held_up_has_all_drive_at_a_lower_rate_and_they_come_back(tm
         said = [status for robot in (1, 2) for _, status in all_robots.since(begun_ns, Status, robot)]
         # Nobody took it for a plant or a robot that is lost.
         assert {status.state for status in said} <= {"running", "degraded"}, {s.reason for s in said}
-        assert not any("silent" in status.reason or "is gone" in status.reason for status in said)
+        assert not any("silent" in status.reason or "no connection" in status.reason for status in said)

@@ -37,7 +37,7 @@ def test_the_only_neighbour_is_killed_and_comes_back(tmp_path: Path) -> None:
         killed_ns = fleet.signal(2, "agent", signal.SIGKILL)
         took, status = fleet.first(killed_ns, Status, 1, lambda m: m.state == "holding", "robot 1 holds")
         measured("seconds", took)
-        assert status.reason == "hears none of its neighbours: robot 2 (its agent is gone)"
+        assert status.reason == "hears none of its neighbours: robot 2 (no connection to its agent)"
         held_ns = status.time_ns
         before = fleet.counters(1)["received"]
         started_ns = restart(fleet, 2, "agent")
@@ -60,7 +60,7 @@ def test_one_of_two_neighbours_is_killed_and_comes_back(tmp_path: Path) -> None:
             _, status = fleet.first(
                 killed_ns, Status, robot, lambda m: m.state == "degraded", f"robot {robot} misses it"
             )
-            assert status.reason == "without robot 3 (its agent is gone)"
+            assert status.reason == "without robot 3 (no connection to its agent)"
         started_ns = restart(fleet, 3, "agent")
         for robot in fleet.members:
             fleet.first(

@@ -186,7 +186,7 @@ def test_a_dead_neighbour_is_seen_before_it_is_missed_and_replaced_by_the_reserv
     away = rule("robot = 3\nat = 4\nkill = 'agent'")
     run = Run(order(8.0, "kind = 'replace'\nrobot = 3\nby = 7"), away).until(4.2)
     agent = run.simulation.agents[0]
-    assert agent.condition == ("degraded", "without robot 3 (its agent is gone)")
+    assert agent.condition == ("degraded", "without robot 3 (no connection to its agent)")
     run.until(28.0)
     assert [run.states()[robot] for robot in (1, 2, 4, 7)] == [State.RUNNING] * 4
     assert run.distance(7, 1) == pytest.approx(hypot(1.0, 1.0), abs=0.05)

@@ -379,7 +379,7 @@ def test_what_is_killed_says_and_hears_nothing_until_it_starts_again():
 def test_a_robot_that_is_killed_for_good_is_driven_on_without_and_nobody_hits_it():
     run = Run("robot = 2\nat = 5\nkill = 'both'").until(6.0)
     for robot in (1, 3, 4, 5):
-        assert run.agent(robot).condition == ("degraded", "without robot 2 (its agent is gone)")
+        assert run.agent(robot).condition == ("degraded", "without robot 2 (no connection to its agent)")
     assert run.agent(6).state is State.RUNNING
     run.until(19.9)
     for robot in (1, 3, 4, 5, 6):

@@ -25,7 +25,7 @@ class Peer:
         next_ns: within so long the next beacon comes after that one, as it says.
         listened: whether its hand states are listened to, so that beacons alone are not enough.
         clock: what is known of its clock.
-        token: False while its agent's process is seen to be gone.
+        token: False while there is no connection to its agent: that has ended, is frozen, or is cut off.
         here: likewise, but True again only when it has been heard again.
         trust: 0..1, how far an edge to it is trusted.
         mark: version and tag of the mission that it has acknowledged.

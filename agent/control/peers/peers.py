@@ -430,7 +430,7 @@ class Peers:
         peer.lateness.expect_promised(self._round_ns, min(hand_ns, peer.next_ns), hand_ns)
 
     def present(self, robot: int, here: bool) -> None:
-        """Takes a change of presence: the process of a robot's agent came (`here`) or went."""
+        """Takes a change of presence: the connection to a robot's agent came (`here`) or went."""
         peer = self.get(robot)
         peer.token = here
         if not here:
@@ -517,7 +517,8 @@ class Peers:
         One whose clock is found to be ahead is further along its way, for it follows by its own. One that
         is ahead of that time is taken as it is.
 
-        One whose process is gone is taken to brake: its plant sees to that.
+        One to whose agent there is no connection is taken to brake, as its plant does where that has ended or
+        is frozen. What keeps away from it does not go by this (`Peer.is_heard`): it may only be cut off.
         """
         message = peer.message
         assert message is not None

@@ -259,7 +259,7 @@ def test_silence_does_not_start_a_drive():
     assert bench.state(1) is State.DEGRADED
 
 
-# ---------------------------------------------------------------------- gone, or not following
+# -------------------------------------------------------------------- not connected, or not following
 
 
 def tell(bench: FleetBench, robot: int, here: bool) -> None:
@@ -268,13 +268,13 @@ def tell(bench: FleetBench, robot: int, here: bool) -> None:
             agent.present(f"few/alive/robot/{robot}/agent", here)
 
 
-def test_a_neighbour_whose_process_is_gone_is_given_up_at_once(bench: FleetBench):
+def test_a_neighbour_to_whose_agent_the_connection_is_lost_is_given_up_at_once(bench: FleetBench):
     """Long before its silence would say so."""
     silence(bench, 3)
     tell(bench, 3, False)
     rows = watch(bench, 1.0)
     assert rows[0].state is State.DEGRADED
-    assert rows[0].reason == "without robot 3 (its agent is gone)"
+    assert rows[0].reason == "without robot 3 (no connection to its agent)"
     assert rows[round(TRUST_LOST_S / PERIOD_S)].trust == 0.0
     heal(bench)
     tell(bench, 3, True)
@@ -291,7 +291,7 @@ def test_a_token_alone_brings_nobody_back(bench: FleetBench):
     assert watch(bench, 0.5)[-1].state is State.DEGRADED
 
 
-def test_when_all_neighbours_are_gone_the_robot_holds(bench: FleetBench):
+def test_when_all_connections_are_lost_the_robot_holds(bench: FleetBench):
     tell(bench, 2, False)
     tell(bench, 3, False)
     assert watch(bench, 0.04)[-1].state is State.HOLDING
@@ -315,12 +315,12 @@ def test_who_stands_on_a_machine_that_runs_late_is_said_to(bench: FleetBench):
     assert watch(bench, 1.0)[-1].reason.endswith("without robot 3 (does not follow, its machine runs late)")
 
 
-def test_who_is_gone_while_machines_run_late_may_be_late_alone(bench: FleetBench):
+def test_whose_connection_is_lost_while_machines_run_late_may_be_late_alone(bench: FleetBench):
     silence(bench, 3)
     tell(bench, 3, False)
     bench.agents[1]._overload.heard(3, 1, bench.now, NS_PER_S)
     reason = watch(bench, 0.1)[-1].reason
-    assert reason.endswith("without robot 3 (its agent is gone, or its machine runs late)")
+    assert reason.endswith("without robot 3 (no connection to its agent, its machine may run late)")
 
 
 def test_who_is_missed_is_named_once(bench: FleetBench):

@@ -1,4 +1,4 @@
-"""Processes of others, seen by their tokens: who is gone, who is back, and what the verdict is told."""
+"""Processes of others, seen by their tokens: whose connection is lost, and what the verdict is told."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ def there() -> Attached:
 def test_who_goes_and_comes_back_is_said_and_warned_of() -> None:
     made = there()
     assert made.names[AGENT] == "robot 2's agent"
-    assert made.look(ALL - {AGENT}, 5.04) == ["5.0 s: gone: robot 2's agent"]
+    assert made.look(ALL - {AGENT}, 5.04) == ["5.0 s: no connection to robot 2's agent"]
     assert not made.up(*AGENT)
     assert made.look(ALL - {AGENT}, 6.0) == []
-    assert made.lacking(FLEET.ids) == ["Robot 2's agent is gone since 5.0 s."]
-    assert made.look(ALL, 7.25) == ["7.2 s: back: robot 2's agent"]
+    assert made.lacking(FLEET.ids) == ["No connection to robot 2's agent since 5.0 s."]
+    assert made.look(ALL, 7.25) == ["7.2 s: connected again: robot 2's agent"]
     assert made.up(*AGENT)
     assert made.lacking(FLEET.ids) == []
-    assert made.warnings == ["Robot 2's agent was gone from 5.0 s to 7.2 s"]
+    assert made.warnings == ["No connection to robot 2's agent from 5.0 s to 7.2 s"]
 
 
 def test_before_the_drive_nobody_is_warned_of() -> None:
     made = there()
-    assert made.look(ALL - {AGENT}, None) == ["gone: robot 2's agent"]
-    assert made.look(ALL, -0.3) == ["-0.3 s: back: robot 2's agent"]
+    assert made.look(ALL - {AGENT}, None) == ["no connection to robot 2's agent"]
+    assert made.look(ALL, -0.3) == ["-0.3 s: connected again: robot 2's agent"]
     made.look(ALL - {AGENT}, -0.2)
     made.look(ALL, -0.1)
     assert made.warnings == []
     made.look(ALL - {AGENT}, None)
-    assert made.lacking(FLEET.ids) == ["Robot 2's agent is gone."]
+    assert made.lacking(FLEET.ids) == ["No connection to robot 2's agent."]
 
 
 def test_when_all_go_at_once_some_are_named() -> None:
     made = there()
     (line,) = made.look(frozenset(), 1.0)
-    assert line.startswith("1.0 s: gone: robot 1's agent, robot 1's plant, robot 2's agent, ")
+    assert line.startswith("1.0 s: no connection to robot 1's agent, robot 1's plant, robot 2's agent, ")
     assert line.endswith(f" and {len(ALL) - NAMED_MAX} more")
     assert len(made.lacking(FLEET.ids)) == len(ALL)
 
@@ -61,7 +61,9 @@ def test_who_has_no_place_any_more_is_a_warning() -> None:
     made = there()
     made.look(ALL - {AGENT}, 5.0)
     assert made.lacking([1, 3, 4]) == []
-    assert made.warnings == ["Robot 2's agent is gone since 5.0 s; it has no place in the formation any more"]
+    assert made.warnings == [
+        "No connection to robot 2's agent since 5.0 s; it has no place in the formation any more"
+    ]
 
 
 def test_they_are_left_as_they_are() -> None:
