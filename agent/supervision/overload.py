@@ -61,6 +61,7 @@ class Overload:
         wanted: by how many steps this robot wants the rate to fall, 0..steps + 2: slower still, and stands.
         level: the greatest that anybody wants; others: that others want.
         late_ticks: how many of its own ticks began too late, since the start.
+        stood_ns: for how long its loop stood, since the start: by a period or more at a time.
     """
 
     def __init__(self, steps: int, period_ns: int, gap_ns: int, standing_ns: int = 0) -> None:
@@ -68,10 +69,10 @@ class Overload:
         self._standing_ns = standing_ns
         self.idle = True
         self.wanted = self.level = self.others = 0
-        self.late_ticks = 0
+        self.late_ticks = self.stood_ns = 0
         self._drives = True
         self._stalls: list[tuple[int, int, int]] = []
-        self._stood_ns = 0
+        self._missed_ns = 0
         self._late: deque[int] = deque()
         self._gaps: deque[int] = deque()
         self._tight: deque[int] = deque(maxlen=TIGHT_MAX)
@@ -108,8 +109,10 @@ class Overload:
     def late(self, now_ns: int, late_ns: int) -> None:
         """Takes that the tick at `now_ns` begins so much after its deadline."""
         self.idle = False
-        self._stood_ns += late_ns
-        self._stalls.append((now_ns, late_ns, self._stood_ns))
+        self._missed_ns += late_ns
+        if late_ns >= self.period_ns:
+            self.stood_ns += late_ns
+        self._stalls.append((now_ns, late_ns, self._missed_ns))
         if len(self._stalls) > 2 * STALLS_MAX:
             del self._stalls[:STALLS_MAX]
         too_late = 2 * late_ns > self.period_ns
@@ -205,19 +208,21 @@ class Overload:
         first = bisect_right(self._stalls, since_ns, key=_END)
         if first == len(self._stalls):
             return 0
-        end_ns, late_ns, stood_ns = self._stalls[first]
-        return self._stood_ns - stood_ns + min(late_ns, end_ns - since_ns)
+        end_ns, late_ns, missed_ns = self._stalls[first]
+        return self._missed_ns - missed_ns + min(late_ns, end_ns - since_ns)
 
     # ------------------------------------------------------------------ to tell
 
     def counters(self) -> dict[str, int]:
-        """What a status counts of it; nothing where the rate never fell."""
+        """What a status counts of it; nothing where it never stood and the rate never fell."""
+        stood = {"stood_ms": self.stood_ns // NS_PER_MS} if self.stood_ns else {}
         if not self._spent_ns:
-            return {}
+            return stood
         spent = {
             f"overload.level_{level}_ms": ns // NS_PER_MS for level, ns in sorted(self._spent_ns.items())
         }
-        return {"overload.late": self.late_ticks, "overload.asked_ms": self._asked_ns // NS_PER_MS, **spent}
+        asked_ms = self._asked_ns // NS_PER_MS
+        return {**stood, "overload.late": self.late_ticks, "overload.asked_ms": asked_ms, **spent}
 
     def stall(self, now_ns: int) -> str:
         """Why this robot does not know what it should: its own process stood."""

@@ -14,7 +14,7 @@ from agent.control.controller import Controller
 from agent.fleet.model import Fleet
 from agent.messages.types import FUTURE_NS_MAX, Heartbeat, Mission, PlantState
 from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.overload import Overload
+from agent.supervision.overload import SAID_NS, Overload
 from agent.supervision.state_machine import ACTIVE, DRIVING, MISSION_OVER, Conditions, State, at_rest
 from agent.supervision.stop_latch import AWAITED, StopLatch
 
@@ -210,7 +210,9 @@ class Situation:
                 return f"plant late by {age_ns / NS_PER_S:.2f} s, or its clock is behind"
             silent = f"plant silent for {age_ns / NS_PER_S:.2f} s"
             # Most plants are on the computer of their agents, and may have no more of it than those.
-            return f"{silent}, {self._overload.stall(now_ns)}" if self._overload.wanted else silent
+            # One that is silent for no longer than this process stood lately may stand for the same reason.
+            is_late = self._overload.wanted or age_ns <= self._overload.missed_ns(now_ns - SAID_NS)
+            return f"{silent}, {self._overload.stall(now_ns)}" if is_late else silent
         if not plant.healthy:
             return f"plant unhealthy: {plant.note or 'no reason given'}"
         speed = hypot(plant.speed, self._reach * plant.yaw_rate)

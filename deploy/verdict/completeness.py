@@ -14,12 +14,14 @@ from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import downs
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
-from deploy.verdict.overload import Stall, late_robots, on_late_machines, stalls
+from deploy.verdict.overload import late_robots, on_late_machines
+from deploy.verdict.standstills import Cause, Stall, stalls
 
 SILENCE_S: Final = 2.0
 """An agent says its status five times a second; one that said nothing in the last so many is lost."""
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
+_TOO_SLOW: Final = "their machine was too slow"
 _PERIODS: Final = 2.5
 """Or for longer than so many periods of a slow body: a late tick is no missing pose."""
 
@@ -30,7 +32,7 @@ class Gap:
 
     Attributes:
         rule: names the rule that stopped its plant, if one did.
-        stall: when its machine stood still, if it did.
+        stall: when no robot of its machine sent a pose, and why, if that was so.
         is_late: whether its machine was too slow (`deploy.verdict.overload`).
         for_good: whether that rule killed it, agent and plant, without an end.
         moved_m: how far apart the poses before and after it are, m; inf where one is missing.
@@ -84,18 +86,22 @@ class Completeness:
             known = longest.get(gap.robot)
             if self._matters(gap) and (known is None or gap.lasts_s > known.lasts_s):
                 longest[gap.robot] = gap
-        together = self._of_one_cause(longest)
-        out += [
-            f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to "
-            f"{gap.end_s:.2f} s{', for its machine was too slow' if gap.is_late else ''}."
-            for robot, gap in longest.items()
-            if robot not in together
-        ]
-        if together:
-            most = max((longest[robot] for robot in together), key=lambda gap: gap.lasts_s)
+        late = self._of_one_cause(longest)
+        together: dict[str, list[int]] = {}
+        for robot, gap in longest.items():
+            cause = gap.stall.cause.value if gap.stall else _TOO_SLOW if robot in late else ""
+            if cause:
+                together.setdefault(cause, []).append(robot)
+                continue
             out.append(
-                f"The data are incomplete: {robots(together)} sent no pose for up to {most.lasts_s:.1f} s, "
-                "for their machine was too slow."
+                f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to "
+                f"{gap.end_s:.2f} s{', for its machine was too slow' if gap.is_late else ''}."
+            )
+        for cause, ids in together.items():
+            most = max((longest[robot] for robot in ids), key=lambda gap: gap.lasts_s)
+            out.append(
+                f"The data are incomplete: no pose came of {robots(ids)} for up to {most.lasts_s:.1f} s: "
+                f"{cause}."
             )
         return [*out, *self._fell_silent(self.members), *_cut_short(recording)]
 
@@ -145,7 +151,8 @@ class Completeness:
         # what it broke.
         if gap.for_good:
             return False
-        hidden = gap.stall or gap.is_late
+        # A plant that hangs is no matter of the machine, nor are all of them.
+        hidden = (gap.stall and gap.stall.cause is not Cause.PLANTS) or gap.is_late
         known = gap.rule or (hidden and gap.moved_m <= self._a.safe_m)
         return not (known and gap.end_s < self._recording.end_s)
 

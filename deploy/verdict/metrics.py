@@ -21,6 +21,7 @@ from deploy.analysis.places import last_there_s
 from deploy.analysis.rounding import largest, number, percentile
 from deploy.recording.recorder import RecordingError
 from deploy.verdict import overload
+from deploy.verdict.standstills import Cause, stalls
 
 if TYPE_CHECKING:
     from deploy.verdict.evidence import Evidence
@@ -277,7 +278,9 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "machine.stood_still_s", "For how long, in all, no robot of a machine could do anything.",
-        lambda r: round(sum(each.end_s - each.start_s for each in overload.stalls(r.recording)), 3),
+        lambda r: round(
+            sum(each.lasts_s for each in stalls(r.recording) if each.cause is Cause.MACHINE), 3
+        ),
     ),
     Metric(
         "overload_s", "How long the fleet drove at a lower rate, or slower: a machine was overloaded.",

@@ -1,64 +1,32 @@
-"""Whether a machine was too slow for the processes of its robots: skipped ticks, a lower rate that they asked
-for, times in which it stood."""
+"""Whether a machine was too slow for the processes of its robots, or some of them stood still: skipped ticks,
+a lower rate that they asked for, times in which nothing came."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from deploy.analysis.presence import downs
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
+from deploy.verdict.standstills import Cause, Stall, Stand, machines, stalls, stood_alone
 from deploy.verdict.violations import windows
 
 SKIPPED_SHARE: Final = 0.05
 """So large a share of a robot's ticks is skipped where its machine, or the law of others, is named."""
 STOOD_SHARE: Final = 0.1
-"""A machine that stood still for so large a share of a drive is named before what failed."""
-STALL_S: Final = 0.5
-"""A machine of whose robots none sent a pose for longer than this stood still."""
-
-_BETWEEN: Final = "what is between them and the recording stood still, a router or the program that records"
-
-
-class Stall(NamedTuple):
-    """A time in which no robot of a machine sent a pose; `host` is its name in the fleet file, "" without."""
-
-    host: str
-    start_s: float
-    end_s: float
-
-
-def stalls(recording: Recording) -> list[Stall]:
-    """The times in which machines stood still, of those that went on before the end, and had more than one
-    robot: a plant that hangs is no machine."""
-    if recording.mode == "simulate":
-        return []
-    found = []
-    for host, ids in _machines(recording).items():
-        if len(ids) < 2:
-            continue
-        times = np.unique(np.concatenate([recording.robots[robot].body.t for robot in ids]))
-        times = times[: int(np.searchsorted(times, recording.end_s, side="right"))]
-        paused = [down for robot in ids for down in downs(recording, robot, "plant")]
-        for k in np.flatnonzero(np.diff(times) > STALL_S).tolist():
-            stall = Stall(host, float(times[k]), float(times[k + 1]))
-            on_purpose = any(
-                down.start_s < stall.end_s and down.end_s > stall.start_s - STALL_S for down in paused
-            )
-            if stall.end_s > 0.0 and not on_purpose:
-                found.append(stall)
-    return found
+"""What stood still for so large a share of a drive is named before what failed."""
 
 
 def warnings(recording: Recording) -> list[str]:
-    """Sentences that name a machine as the cause: nothing of it is the fleet's doing."""
-    out = [_stall_words(recording, stall) for stall in stalls(recording)]
+    """Sentences that name what was too slow, or stood still: a machine, or some of its processes."""
+    out = [_stall_words(stall) for stall in stalls(recording)]
+    out += _stand_words(stood_alone(recording))
     slow = late_robots(recording)  # a law of others that is slow is named as such
     period_ms = 1e3 / recording.fleet.fleet.rate_hz
-    for host, ids in _machines(recording).items():
+    for host, ids in machines(recording).items():
         late = [robot for robot in ids if robot in slow]
         if not late:
             continue
@@ -75,59 +43,77 @@ def warnings(recording: Recording) -> list[str]:
     return out
 
 
-def _stall_words(recording: Recording, stall: Stall) -> str:
-    """Robots that went on while nothing came of them stood on no machine that stood."""
+def _stall_words(stall: Stall) -> str:
     when = f"from {stall.start_s:.2f} s to {stall.end_s:.2f} s"
-    if any(_skipped(recording, robot) for robot in _machines(recording)[stall.host]):
+    if stall.cause is Cause.MACHINE:
         stood = f"{_name(stall.host)} stood still {when}: none of its robots sent a pose."
         return f"{stood} That is not the fleet's doing."
     whose = f"of host {stall.host} " if stall.host else ""
-    return f"Nothing came of the robots {whose}{when}, though none of them skipped a tick: {_BETWEEN}."
+    return f"No pose came of the robots {whose}{when}: {stall.cause.value}."
+
+
+def _stand_words(stands: Sequence[Stand]) -> list[str]:
+    """A sentence for all agents that stood still at the same time."""
+    out = []
+    left = sorted(stands, key=lambda stand: stand.start_s)
+    while left:
+        first = left[0]
+        same = [stand for stand in left if stand.start_s < first.end_s]
+        left = [stand for stand in left if stand.start_s >= first.end_s]
+        who = robots(sorted({stand.robot for stand in same}))
+        agents, were = ("agents", "they were") if who.startswith("robots") else ("agent", "it was")
+        lasts_s = max(stand.lasts_s for stand in same)
+        out.append(
+            f"The {agents} of {who} stood still for {lasts_s:.1f} s from {first.start_s:.1f} s on, while "
+            f"other processes of the machine ran: {were} frozen, or starved."
+        )
+    return out
 
 
 def explains(recording: Recording) -> list[str]:
-    """A sentence where machines were too slow for most robots, to be read before all that failed by it."""
+    """A sentence where most robots failed for what was none of their doing, to be read before all that failed
+    by it: machines that were too slow, or what stood still for long."""
     if recording.mode == "simulate":
         return []
-    stood_s, late = sum(stall.end_s - stall.start_s for stall in stalls(recording)), late_robots(recording)
-    if 2 * len(late) <= len(recording.ids) and stood_s <= STOOD_SHARE * recording.end_s:
-        return []
-    if not late and not any(_skipped(recording, robot) for robot in recording.ids):
+    stood_s: dict[Cause, float] = {}
+    for stall in stalls(recording):
+        stood_s[stall.cause] = stood_s.get(stall.cause, 0.0) + stall.lasts_s
+    late = late_robots(recording)
+    if 2 * len(late) > len(recording.ids):
+        machine_s = stood_s.get(Cause.MACHINE, 0.0)
+        stood = f", and {machine_s:.1f} s none could do anything" if machine_s else ""
+        were = "Machines were" if len(machines(recording)) > 1 else "The machine was"
         return [
-            f"For {stood_s:.1f} s nothing came of any robot, though none skipped a tick: {_BETWEEN}. What "
-            "follows may come of that alone."
+            f"{were} too slow: {len(late)} of {len(recording.ids)} robots skipped many ticks{stood}. What "
+            "follows may come of that alone; `handfast check` says how many robots a machine carries at "
+            "which rate."
         ]
-    stood = f", and {stood_s:.1f} s none could do anything" if stood_s else ""
-    were = "Machines were" if len(_machines(recording)) > 1 else "The machine was"
+    cause = max(stood_s, key=stood_s.__getitem__, default=Cause.MACHINE)
+    if stood_s.get(cause, 0.0) <= STOOD_SHARE * recording.end_s:
+        return []
     return [
-        f"{were} too slow: {len(late)} of {len(recording.ids)} robots skipped many ticks{stood}. What "
-        "follows may come of that alone; `handfast check` says how many robots a machine carries at which "
-        "rate."
+        f"For {stood_s[cause]:.1f} s no pose came of any robot: {cause.value}. What follows may come of that "
+        "alone."
     ]
 
 
 def late_robots(recording: Recording) -> frozenset[int]:
     """The robots whose agents could not keep their rate, though nobody had made them late: their machines
-    did."""
+    did. What an agent skipped while it alone stood still is not the machine's."""
     if recording.mode == "simulate" or recording.fleet.control.law is not None:
         return frozenset()
-    return frozenset(robot for robot in recording.ids if _was_late(recording, robot))
+    alone: dict[int, list[Stand]] = {}
+    for stand in stood_alone(recording):
+        alone.setdefault(stand.robot, []).append(stand)
+    return frozenset(robot for robot in recording.ids if _was_late(recording, robot, alone.get(robot, ())))
 
 
 def on_late_machines(recording: Recording) -> frozenset[int]:
     """All robots of machines that some of their robots found too slow."""
     late = late_robots(recording)
     return frozenset(
-        robot for ids in _machines(recording).values() if not late.isdisjoint(ids) for robot in ids
+        robot for ids in machines(recording).values() if not late.isdisjoint(ids) for robot in ids
     )
-
-
-def _machines(recording: Recording) -> dict[str, list[int]]:
-    """The robots of each machine."""
-    found: dict[str, list[int]] = {}
-    for robot in recording.ids:
-        found.setdefault(recording.fleet.robot(robot).host or "", []).append(robot)
-    return found
 
 
 def _name(host: str) -> str:
@@ -153,12 +139,14 @@ def _skipped(recording: Recording, robot: int) -> int:
     return recording.robots[robot].status.totals().get("overruns", 0)
 
 
-def _was_late(recording: Recording, robot: int) -> bool:
-    """Whether a robot's agent skipped many ticks, or asked for a lower rate, and nobody had made it late or
-    paused it."""
+def _was_late(recording: Recording, robot: int, alone: Sequence[Stand]) -> bool:
+    """Whether a robot's agent skipped many ticks, or asked for a lower rate, for more than that it stood
+    `alone`, and nobody had made it late or paused it."""
     ticks = len(recording.robots[robot].status.tick_us)
-    asked = recording.robots[robot].status.totals().get("overload.asked_ms", 0)
-    if not ticks or (_skipped(recording, robot) <= SKIPPED_SHARE * ticks and not asked):
+    skipped = _skipped(recording, robot) - sum(stand.skipped for stand in alone)
+    asked_ms = recording.robots[robot].status.totals().get("overload.asked_ms", 0)
+    asked_ms -= sum(stand.asked_ms for stand in alone)
+    if not ticks or (skipped <= SKIPPED_SHARE * ticks and asked_ms <= 0):
         return False
     on_purpose: Sequence[object] = [
         *downs(recording, robot, "agent"),

@@ -144,6 +144,16 @@ def test_who_stands_decides_rarely_until_it_would_keep_the_rate_at_which_it_driv
     assert loop.overload.period_ns == 5 * PERIOD
 
 
+def test_it_counts_for_how_long_the_loop_stood() -> None:
+    """Not the ticks that begin a little late: a period and more at a time."""
+    loop = Loop()
+    loop.overload.late(NS_PER_S, PERIOD // 2)
+    assert loop.overload.counters() == {}
+    loop.overload.late(2 * NS_PER_S, PERIOD)
+    loop.overload.late(5 * NS_PER_S, 2 * NS_PER_S)
+    assert loop.overload.counters() == {"stood_ms": 2000 + PERIOD // 1_000_000}
+
+
 def test_a_few_long_gaps_are_none() -> None:
     loop = Loop(steps=0)
     for _ in range(10):

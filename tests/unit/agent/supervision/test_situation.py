@@ -308,6 +308,19 @@ def test_a_plant_that_is_silent_on_a_machine_that_runs_late_is_told_with_that() 
     assert made.plant_trouble == "plant silent for 1.00 s, overloaded: this machine ran late by 0.06 s"
 
 
+def test_a_plant_that_is_silent_for_less_than_the_own_process_stood_lately_is_told_with_that() -> None:
+    """All processes of a machine that stood wake one after the other."""
+    made, _ = driving()
+    woken = NOW + 3 * NS_PER_S
+    made._overload.late(woken, 2 * NS_PER_S)
+    made.accept_plant(plant(time_ns=woken), woken)
+    made.check_plant(woken + 350_000_000)
+    assert made.plant_trouble == "plant silent for 0.35 s, overloaded: this machine ran late by 2 s"
+    made.accept_plant(plant(time_ns=woken + 5 * NS_PER_S), woken + 5 * NS_PER_S)
+    made.check_plant(woken + 5 * NS_PER_S + 350_000_000)
+    assert made.plant_trouble == "plant silent for 0.35 s", "that is long ago"
+
+
 def test_what_of_a_plant_waited_for_the_own_process_is_not_late_nor_its_clock_behind() -> None:
     made, _ = driving()
     later = NOW + 2 * NS_PER_S

@@ -107,8 +107,7 @@ def test_many_that_fall_silent_on_a_machine_that_is_too_slow_are_one_matter() ->
         "too slow, for them, their router or the program that records."
     ]
     assert reasons(PlantState, (1, 3)) == [
-        "The data are incomplete: robots 1 and 3 sent no pose for up to 5.0 s, for their machine was "
-        "too slow."
+        "The data are incomplete: no pose came of robots 1 and 3 for up to 5.0 s: their machine was too slow."
     ]
     for kind, words in ((Status, "The agent of robot 1 said nothing"), (PlantState, "robot 1 sent no pose")):
         assert len(reasons(kind, (1, 2, 3), late=False)) == 3

@@ -12,9 +12,10 @@ from agent.fleet.model import Fleet
 from agent.messages.types import Event, PlantState, Status
 from deploy.recording.recording import Recording
 from deploy.verdict.metrics import compute
-from deploy.verdict.overload import slowed_s, stalls, warnings
+from deploy.verdict.overload import explains, late_robots, slowed_s, warnings
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import PAIR, recorded
+from tests.unit.deploy.silent_run import ALL, OF_AGENTS, ROUTED, STOOD, UNHEARD, paused, silent
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages
 
 SLOW = (
@@ -46,7 +47,9 @@ def test_skipped_ticks_are_the_machines_and_fail_nothing() -> None:
 
 def test_metrics_tell_the_machine_from_the_fleet() -> None:
     assert RunResult(late(30)).metrics["machine"] == {"late_robots": [1, 2], "stood_still_s": 0.0}
-    assert RunResult(gap(1, 2)).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.6}
+    stood = silent(ALL, counted={"stood_ms": 600, "overruns": 3})
+    assert RunResult(stood).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.6}
+    assert RunResult(gap(1, 2)).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.0}
     assert RunResult(gap(1)).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.0}
 
 
@@ -111,9 +114,7 @@ def gap(
 
 
 def test_a_machine_that_stood_still_is_named_and_lacks_no_poses() -> None:
-    recording = gap(1, 2, skipped=2)
-    assert [each[1:] for each in stalls(recording)] == [(pytest.approx(0.8), pytest.approx(1.4))]
-    result = RunResult(recording)
+    result = RunResult(silent(ALL, counted={"stood_ms": 600, "overruns": 3}))
     assert result.passed
     assert result.warnings == [
         "The machine that ran the fleet stood still from 0.80 s to 1.40 s: none of its robots sent a pose. "
@@ -121,29 +122,64 @@ def test_a_machine_that_stood_still_is_named_and_lacks_no_poses() -> None:
     ]
 
 
-def test_where_robots_went_on_while_nothing_came_of_them_it_was_not_their_machine() -> None:
-    result = RunResult(gap(1, 2))
+def test_where_robots_went_on_while_no_pose_came_of_them_it_was_not_their_machine() -> None:
+    result = RunResult(silent(ALL, fleet=ROUTED, counted=UNHEARD))
     assert result.passed
     assert result.warnings == [
-        "Nothing came of the robots from 0.80 s to 1.40 s, though none of them skipped a tick: what is "
-        "between them and the recording stood still, a router or the program that records."
+        "No pose came of the robots from 0.80 s to 1.40 s: their router passed nothing on, while their "
+        "agents ran on time."
     ]
+    (text,) = warnings(silent(ALL, fleet=ROUTED))
+    assert text.endswith(
+        "the program that records heard nothing, while their agents ran on time and heard each other."
+    )
+
+
+def test_an_agent_that_stood_alone_is_not_its_machine() -> None:
+    """Though it skipped more than a machine that is named may."""
+    recording = silent(OF_AGENTS, (2,), counted=STOOD | {"overload.asked_ms": 200})
+    assert warnings(recording) == [
+        "The agent of robot 2 stood still for 0.6 s from 0.8 s on, while other processes of the machine ran: "
+        "it was frozen, or starved."
+    ]
+    assert late_robots(recording) == frozenset()
+    (text,) = warnings(silent(OF_AGENTS, counted=STOOD))
+    assert text.startswith("The agents of robots 1 and 2 stood still for 0.6 s from 0.8 s on, while other")
+    assert text.endswith("they were frozen, or starved.")
+
+
+def test_a_machine_that_runs_late_is_named_beside_an_agent_that_stood_alone() -> None:
+    recording = silent(OF_AGENTS, (2,), counted={"stood_ms": 600, "overruns": 30, "overload.asked_ms": 200})
+    for counters in recording.robots[1].status.counters:
+        counters["overruns"] = 30  # type: ignore[index]
+    assert late_robots(recording) == {1}
+    assert len(warnings(recording)) == 2
+
+
+def test_what_stood_is_said_before_much_that_failed() -> None:
+    assert explains(silent(ALL, fleet=ROUTED, counted=UNHEARD)) == [
+        "For 0.6 s no pose came of any robot: their router passed nothing on, while their agents ran on "
+        "time. What follows may come of that alone."
+    ]
+    assert explains(silent(ALL, (1,))) == []
+    (text,) = explains(silent(ALL, counted=STOOD))
+    assert text.startswith("The machine was too slow: 2 of 2 robots skipped many ticks, and 0.6 s none could")
+
+
+def test_plants_that_hang_fail_as_one_does() -> None:
+    (reason,) = RunResult(silent((PlantState,), state="fault")).reasons
+    assert reason == (
+        "The data are incomplete: no pose came of robots 1 and 2 for up to 0.6 s: their plants stood still, "
+        "while their agents ran on time."
+    )
 
 
 def test_one_plant_that_sends_nothing_is_no_machine() -> None:
-    assert stalls(gap(1)) == []
     assert not RunResult(gap(1)).passed
-    assert stalls(replace(gap(1, 2), mode="simulate")) == []
 
 
 def test_plants_that_are_paused_on_purpose_are_no_machine() -> None:
-    events = tuple(
-        Event(robot, 0, EPOCH_NS + round(t * 1e9), "plant", what, "freeze")
-        for robot in (1, 2)
-        for t, what in ((0.82, "stop"), (1.38, "continue"))
-    )
-    recording = replace(gap(1, 2), events=events)
-    assert stalls(recording) == []
+    recording = replace(gap(1, 2), events=(*paused(1, "plant"), *paused(2, "plant")))
     assert [each.split(":")[0] for each in RunResult(recording).warnings] == [
         "Rule 'freeze' stopped robot 1's plant", "Rule 'freeze' stopped robot 2's plant",
     ]  # fmt: skip

@@ -1,0 +1,193 @@
+"""What stood still when nothing came of robots: machine, plants, agents, router, or what records (PURE).
+
+An agent counts for how long its own loop stood (`stood_ms`), and how many hand states it has received. That
+tells who stood: a machine makes many processes late at once; an agent that is frozen alone stands while the
+others are on time; where a router passes nothing on, all agents are on time, and none hears the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from agent.supervision.state_machine import State
+from deploy.analysis.presence import downs
+from deploy.recording.recording import Recording
+from deploy.recording.tables import StatusTable
+from deploy.verdict.violations import windows
+
+STALL_S: Final = 0.5
+"""What says nothing, or does not run, for longer than this stood still."""
+WOKEN_S: Final = 3.0
+"""What an agent skips or asks for so soon after it stood comes of that."""
+_COUNTED: Final = "overruns", "overload.asked_ms"
+USUAL_S: Final = 3.0
+"""How much an agent received in so long before says what is usual."""
+
+
+class Cause(Enum):
+    """Why no robot of a machine sent a pose: the end of a sentence that says so."""
+
+    MACHINE = "their machine stood still"
+    PLANTS = "their plants stood still, while their agents ran on time"
+    ROUTER = "their router passed nothing on, while their agents ran on time"
+    NETWORK = "their network carried nothing, while their agents ran on time"
+    RECORDING = "the program that records heard nothing, while their agents ran on time and heard each other"
+
+
+class Stall(NamedTuple):
+    """A time in which no robot of a machine sent a pose; `host` is its name in the fleet file, "" without."""
+
+    host: str
+    start_s: float
+    end_s: float
+    cause: Cause
+
+    @property
+    def lasts_s(self) -> float:
+        return self.end_s - self.start_s
+
+
+class Stand(NamedTuple):
+    """The agent of a robot stood still for `lasts_s`, while at least half of its machine's processes ran.
+
+    skipped: ticks that it skipped for that; asked_ms: for how long it asked for a lower rate for it.
+    """
+
+    robot: int
+    start_s: float
+    lasts_s: float
+    skipped: int
+    asked_ms: int
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + self.lasts_s
+
+
+class _Account(NamedTuple):
+    """What an agent's statuses say of a span: whether its loop stood for most of it, whether statuses came
+    all the while, whether these told of a plant in trouble, and whether it went on hearing other robots."""
+
+    stood: bool
+    spoke: bool
+    lacked_plant: bool
+    heard: bool
+
+
+def machines(recording: Recording) -> Mapping[str, Sequence[int]]:
+    """The robots of each machine, by the name of its host."""
+    found: dict[str, list[int]] = {}
+    for robot in recording.ids:
+        found.setdefault(recording.fleet.robot(robot).host or "", []).append(robot)
+    return found
+
+
+def stalls(recording: Recording) -> list[Stall]:
+    """The times in which nothing came of the robots of a machine, of those that went on before the end, and
+    had more than one robot: a plant that hangs is no machine."""
+    if recording.mode == "simulate":
+        return []
+    found = []
+    for host, ids in machines(recording).items():
+        if len(ids) < 2:
+            continue
+        times = np.unique(np.concatenate([recording.robots[robot].body.t for robot in ids]))
+        times = times[: int(np.searchsorted(times, recording.end_s, side="right"))]
+        paused = [down for robot in ids for down in downs(recording, robot, "plant")]
+        for k in np.flatnonzero(np.diff(times) > STALL_S).tolist():
+            start_s, end_s = float(times[k]), float(times[k + 1])
+            on_purpose = any(down.start_s < end_s and down.end_s > start_s - STALL_S for down in paused)
+            if end_s > 0.0 and not on_purpose:
+                found.append(Stall(host, start_s, end_s, _cause(recording, ids, start_s, end_s)))
+    return found
+
+
+def stood_alone(recording: Recording) -> list[Stand]:
+    """The agents that stood still while half of the processes of their machine, or more, ran on time, and
+    nobody had paused them, or made them late, on purpose."""
+    if recording.mode == "simulate" or any(span.rule.tick_jitter for span in windows(recording)):
+        return []
+    found = []
+    for ids in machines(recording).values():
+        for robot in ids:
+            status, paused = recording.robots[robot].status, downs(recording, robot, "agent")
+            for k in np.flatnonzero(np.diff(status.t) > STALL_S).tolist():
+                start_s, lasts_s = float(status.t[k]), _stood_s(recording, status, k, k + 1)
+                end_s = start_s + lasts_s
+                if (
+                    lasts_s > STALL_S
+                    and end_s > 0.0
+                    and not any(down.start_s < end_s and down.end_s > start_s for down in paused)
+                    and _late_processes(recording, ids, start_s, end_s) <= len(ids)  # of two for each robot
+                ):
+                    woken = int(np.searchsorted(status.t, end_s + WOKEN_S, side="right")) - 1
+                    counted = [_grown(status, name, k, max(woken, k + 1)) for name in _COUNTED]
+                    found.append(Stand(robot, start_s, lasts_s, *counted))
+    return found
+
+
+def _cause(recording: Recording, ids: Sequence[int], start_s: float, end_s: float) -> Cause:
+    """Why nothing came of these robots of a machine, by what most of their agents say."""
+    said = [
+        _account(recording, recording.robots[robot].status, start_s, end_s)
+        for robot in ids
+        if len(recording.robots[robot].status)
+    ]
+
+    def most(count: int) -> bool:
+        return 2 * count > len(said)
+
+    if not said or most(sum(each.stood for each in said)):
+        return Cause.MACHINE
+    if most(sum(each.spoke and each.lacked_plant for each in said)):
+        return Cause.PLANTS
+    if most(sum(each.heard for each in said)):
+        return Cause.RECORDING
+    return Cause.ROUTER if recording.fleet.is_routed else Cause.NETWORK
+
+
+def _account(recording: Recording, status: StatusTable, start_s: float, end_s: float) -> _Account:
+    """See `_Account`: from the last status before the span to the first after it."""
+    before = max(int(np.searchsorted(status.t, start_s, side="right")) - 1, 0)
+    after = min(int(np.searchsorted(status.t, end_s)), len(status) - 1)
+    within = np.flatnonzero((status.t > start_s) & (status.t < end_s)).tolist()
+    holes = np.diff([start_s, *status.t[within].tolist(), end_s])
+    span_s = end_s - start_s
+    usually = int(np.searchsorted(status.t, status.t[before] - USUAL_S))
+    before_s, there_s = (float(status.t[b] - status.t[a]) for a, b in ((usually, before), (before, after)))
+    usual, received = (_grown(status, "received", a, b) for a, b in ((usually, before), (before, after)))
+    return _Account(
+        2 * _stood_s(recording, status, before, after) > span_s,
+        2 * float(holes.max()) <= span_s,
+        any(status.states[k] == State.FAULT.value for k in within),
+        usual > 0 and 2 * received * before_s > usual * there_s,
+    )
+
+
+def _late_processes(recording: Recording, ids: Sequence[int], start_s: float, end_s: float) -> int:
+    """How many agents and plants of these robots did nothing for most of a span."""
+    late = 0
+    for robot in ids:
+        data = recording.robots[robot]
+        late += len(data.status) > 0 and _account(recording, data.status, start_s, end_s).stood
+        times = data.body.t[(data.body.t > start_s) & (data.body.t < end_s)]
+        late += 2 * float(np.diff([start_s, *times.tolist(), end_s]).max()) > end_s - start_s
+    return late
+
+
+def _stood_s(recording: Recording, status: StatusTable, first: int, last: int) -> float:
+    """For how long an agent's loop stood between two of its statuses, s: as it says itself, else, before it
+    did, by the ticks that it skipped."""
+    if "stood_ms" in status.counters[last]:
+        return _grown(status, "stood_ms", first, last) / 1e3
+    return _grown(status, "overruns", first, last) * recording.fleet.period_ns / 1e9
+
+
+def _grown(status: StatusTable, name: str, first: int, last: int) -> int:
+    """By how much a counter grew between two statuses; one that started again counts from 0."""
+    before, after = (status.counters[row].get(name, 0) for row in (first, last))
+    return after - before if after >= before else after
