@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -31,6 +32,7 @@ from tests.process.test_run import AGREE_M, assert_complete
 NETWORK = ("--set", "network.base_port=21700")
 DRIVE_S = 16.0
 HELD_S = 2.0
+STOOD_S = 2.5
 
 
 def routed(folder: Path, fleet: str, *more: str) -> Command:
@@ -74,6 +76,24 @@ def test_a_router_that_dies_ends_the_run_and_no_robot_drives_on(tmp_path: Path) 
         assert command.wait() == 1, command.told()
         wait_for(lambda: not any(map(running, pids)), "the end of all processes")
     assert re.search(r"Router 1 ended at \d+\.\d s \(killed by SIGKILL\)\.", command.err), command.told()
+
+
+def test_a_router_that_stands_is_what_is_named(tmp_path: Path) -> None:
+    """Not its robots' machine, whose processes run on time, nor agents that would be gone."""
+    rate = "--set", "fleet.rate_hz=10"
+    with routed(tmp_path, "pair", "--set", ROUTED, *rate, "--duration", "8") as command:
+        command.wait_until_driving()
+        (router,) = routers_of(command)
+        os.kill(router, signal.SIGSTOP)
+        time.sleep(STOOD_S)
+        os.kill(router, signal.SIGCONT)
+        command.wait()
+    verdict = json.loads((tmp_path / "out" / "metrics.json").read_text())["verdict"]
+    (said,) = [text for text in verdict["warnings"] if text.startswith("No pose came of the robots from ")]
+    assert said.endswith(": their router passed nothing on, while their agents ran on time."), verdict
+    assert not any("stood still" in text for text in verdict["warnings"] + verdict["reasons"]), verdict
+    log = (tmp_path / "out" / "logs" / "robot-1-agent.log").read_text()
+    assert "hears none of its neighbours: robot 2 (no connection to its agent)" in log, log
 
 
 def dies(fleet: Robots, number: int) -> None:
