@@ -23,8 +23,8 @@ STOOD_SHARE: Final = 0.1
 def warnings(recording: Recording) -> list[str]:
     """Sentences that name what was too slow, or stood still: a machine, or some of its processes."""
     out = [_stall_words(stall) for stall in stalls(recording)]
-    out += _stand_words(stood_alone(recording))
     slow = late_robots(recording)  # a law of others that is slow is named as such
+    out += _stand_words([stand for stand in stood_alone(recording) if stand.robot not in slow])
     period_ms = 1e3 / recording.fleet.fleet.rate_hz
     for host, ids in machines(recording).items():
         late = [robot for robot in ids if robot in slow]
@@ -61,11 +61,12 @@ def _stand_words(stands: Sequence[Stand]) -> list[str]:
         same = [stand for stand in left if stand.start_s < first.end_s]
         left = [stand for stand in left if stand.start_s >= first.end_s]
         who = robots(sorted({stand.robot for stand in same}))
-        agents, were = ("agents", "they were") if who.startswith("robots") else ("agent", "it was")
+        many = who.startswith("robots")
+        agents, its, were = ("agents", "their", "they were") if many else ("agent", "its", "it was")
         lasts_s = max(stand.lasts_s for stand in same)
         out.append(
             f"The {agents} of {who} stood still for {lasts_s:.1f} s from {first.start_s:.1f} s on, while "
-            f"other processes of the machine ran: {were} frozen, or starved."
+            f"{its} machine ran: {were} frozen, or starved."
         )
     return out
 

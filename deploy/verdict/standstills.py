@@ -21,6 +21,8 @@ from deploy.verdict.violations import windows
 
 STALL_S: Final = 0.5
 """What says nothing, or does not run, for longer than this stood still."""
+ALONE_SHARE: Final = 8
+"""Where more agents of a machine than one in so many, and more than one, do not run, it is the machine."""
 WOKEN_S: Final = 3.0
 """What an agent skips or asks for so soon after it stood comes of that."""
 _COUNTED: Final = "overruns", "overload.asked_ms"
@@ -32,10 +34,10 @@ class Cause(Enum):
     """Why no robot of a machine sent a pose: the end of a sentence that says so."""
 
     MACHINE = "their machine stood still"
-    PLANTS = "their plants stood still, while their agents ran on time"
-    ROUTER = "their router passed nothing on, while their agents ran on time"
-    NETWORK = "their network carried nothing, while their agents ran on time"
-    RECORDING = "the program that records heard nothing, while their agents ran on time and heard each other"
+    PLANTS = "their plants stood still, while their agents ran"
+    ROUTER = "their router passed nothing on, while their agents ran"
+    NETWORK = "their network carried nothing, while their agents ran"
+    RECORDING = "the program that records heard nothing, while their agents ran and heard each other"
 
 
 class Stall(NamedTuple):
@@ -52,7 +54,7 @@ class Stall(NamedTuple):
 
 
 class Stand(NamedTuple):
-    """The agent of a robot stood still for `lasts_s`, while at least half of its machine's processes ran.
+    """The agent of a robot stood still for `lasts_s`, while its machine ran: nearly all others did.
 
     skipped: ticks that it skipped for that; asked_ms: for how long it asked for a lower rate for it.
     """
@@ -107,8 +109,8 @@ def stalls(recording: Recording) -> list[Stall]:
 
 
 def stood_alone(recording: Recording) -> list[Stand]:
-    """The agents that stood still while half of the processes of their machine, or more, ran on time, and
-    nobody had paused them, or made them late, on purpose."""
+    """The agents that stood still while nearly all others of their machine, and most of its plants, ran, and
+    that nobody had paused, or made late, on purpose."""
     if recording.mode == "simulate" or any(span.rule.tick_jitter for span in windows(recording)):
         return []
     found = []
@@ -122,7 +124,7 @@ def stood_alone(recording: Recording) -> list[Stand]:
                     lasts_s > STALL_S
                     and end_s > 0.0
                     and not any(down.start_s < end_s and down.end_s > start_s for down in paused)
-                    and _late_processes(recording, ids, start_s, end_s) <= len(ids)  # of two for each robot
+                    and _runs(recording, ids, start_s, end_s)
                 ):
                     woken = int(np.searchsorted(status.t, end_s + WOKEN_S, side="right")) - 1
                     counted = [_grown(status, name, k, max(woken, k + 1)) for name in _COUNTED]
@@ -152,8 +154,7 @@ def _cause(recording: Recording, ids: Sequence[int], start_s: float, end_s: floa
 
 def _account(recording: Recording, status: StatusTable, start_s: float, end_s: float) -> _Account:
     """See `_Account`: from the last status before the span to the first after it."""
-    before = max(int(np.searchsorted(status.t, start_s, side="right")) - 1, 0)
-    after = min(int(np.searchsorted(status.t, end_s)), len(status) - 1)
+    before, after = _around(status, start_s, end_s)
     within = np.flatnonzero((status.t > start_s) & (status.t < end_s)).tolist()
     holes = np.diff([start_s, *status.t[within].tolist(), end_s])
     span_s = end_s - start_s
@@ -168,15 +169,24 @@ def _account(recording: Recording, status: StatusTable, start_s: float, end_s: f
     )
 
 
-def _late_processes(recording: Recording, ids: Sequence[int], start_s: float, end_s: float) -> int:
-    """How many agents and plants of these robots did nothing for most of a span."""
-    late = 0
+def _runs(recording: Recording, ids: Sequence[int], start_s: float, end_s: float) -> bool:
+    """Whether a machine ran in a span in which one of its agents stood: nearly all others, and most of its
+    plants, went on. Agents have more to do than plants, so that it is they who tell."""
+    stood = hung = 0
     for robot in ids:
-        data = recording.robots[robot]
-        late += len(data.status) > 0 and _account(recording, data.status, start_s, end_s).stood
-        times = data.body.t[(data.body.t > start_s) & (data.body.t < end_s)]
-        late += 2 * float(np.diff([start_s, *times.tolist(), end_s]).max()) > end_s - start_s
-    return late
+        status, t = recording.robots[robot].status, recording.robots[robot].body.t
+        if len(status):
+            before, after = _around(status, start_s, end_s)
+            stood += 4 * _stood_s(recording, status, before, after) > end_s - start_s
+        times = t[(t > start_s) & (t < end_s)].tolist()
+        hung += 2 * float(np.diff([start_s, *times, end_s]).max()) > end_s - start_s
+    return stood <= max(1, len(ids) // ALONE_SHARE) and 2 * hung <= len(ids)
+
+
+def _around(status: StatusTable, start_s: float, end_s: float) -> tuple[int, int]:
+    """The last status before a span, and the first after it."""
+    before = max(int(np.searchsorted(status.t, start_s, side="right")) - 1, 0)
+    return before, min(int(np.searchsorted(status.t, end_s)), len(status) - 1)
 
 
 def _stood_s(recording: Recording, status: StatusTable, first: int, last: int) -> float:

@@ -127,11 +127,11 @@ def test_where_robots_went_on_while_no_pose_came_of_them_it_was_not_their_machin
     assert result.passed
     assert result.warnings == [
         "No pose came of the robots from 0.80 s to 1.40 s: their router passed nothing on, while their "
-        "agents ran on time."
+        "agents ran."
     ]
     (text,) = warnings(silent(ALL, fleet=ROUTED))
     assert text.endswith(
-        "the program that records heard nothing, while their agents ran on time and heard each other."
+        "the program that records heard nothing, while their agents ran and heard each other."
     )
 
 
@@ -139,13 +139,22 @@ def test_an_agent_that_stood_alone_is_not_its_machine() -> None:
     """Though it skipped more than a machine that is named may."""
     recording = silent(OF_AGENTS, (2,), counted=STOOD | {"overload.asked_ms": 200})
     assert warnings(recording) == [
-        "The agent of robot 2 stood still for 0.6 s from 0.8 s on, while other processes of the machine ran: "
-        "it was frozen, or starved."
+        "The agent of robot 2 stood still for 0.6 s from 0.8 s on, while its machine ran: it was frozen, or "
+        "starved."
     ]
     assert late_robots(recording) == frozenset()
     (text,) = warnings(silent(OF_AGENTS, counted=STOOD))
-    assert text.startswith("The agents of robots 1 and 2 stood still for 0.6 s from 0.8 s on, while other")
-    assert text.endswith("they were frozen, or starved.")
+    assert text.startswith("The machine that ran the fleet was too slow"), "both stood at once"
+
+
+def test_agents_that_stood_at_the_same_time_share_a_sentence() -> None:
+    """Two of 16 are not their machine."""
+    fleet = make_fleet([(float(k), 0.0) for k in range(16)], [(1, 2)])
+    (text,) = warnings(silent(OF_AGENTS, fleet=fleet, counted=STOOD))
+    assert text == (
+        "The agents of robots 1 and 2 stood still for 0.6 s from 0.8 s on, while their machine ran: they "
+        "were frozen, or starved."
+    )
 
 
 def test_a_machine_that_runs_late_is_named_beside_an_agent_that_stood_alone() -> None:
@@ -158,8 +167,8 @@ def test_a_machine_that_runs_late_is_named_beside_an_agent_that_stood_alone() ->
 
 def test_what_stood_is_said_before_much_that_failed() -> None:
     assert explains(silent(ALL, fleet=ROUTED, counted=UNHEARD)) == [
-        "For 0.6 s no pose came of any robot: their router passed nothing on, while their agents ran on "
-        "time. What follows may come of that alone."
+        "For 0.6 s no pose came of any robot: their router passed nothing on, while their agents ran. "
+        "What follows may come of that alone."
     ]
     assert explains(silent(ALL, (1,))) == []
     (text,) = explains(silent(ALL, counted=STOOD))
@@ -170,7 +179,7 @@ def test_plants_that_hang_fail_as_one_does() -> None:
     (reason,) = RunResult(silent((PlantState,), state="fault")).reasons
     assert reason == (
         "The data are incomplete: no pose came of robots 1 and 2 for up to 0.6 s: their plants stood still, "
-        "while their agents ran on time."
+        "while their agents ran."
     )
 
 
