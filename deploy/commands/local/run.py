@@ -59,9 +59,9 @@ def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
 
     if len(fleet.robots) < ROBOTS_MIN:
         return
-    from deploy.processes.machine import measured
+    from deploy.processes.machine import measured, measured_for
 
-    machine = measured()
+    machine = measured_for(fleet) if options.check else measured()
     text = overload(fleet, machine)
     if text and options.check:
         raise InputError(f"{options.fleet}: not started: {text} (--no-check drives all the same)")
