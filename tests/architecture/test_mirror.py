@@ -131,7 +131,6 @@ BY_OTHERS: Final = {
         deploy/check/shape
         deploy/console/data_files
         deploy/console/progress
-        deploy/console/wording
         deploy/faults/windows
         deploy/faults/wording
         deploy/orders/blend_time
