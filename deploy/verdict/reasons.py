@@ -43,7 +43,8 @@ def reasons(
     """
     data = Completeness(recording, a)
     states = _states(recording, data.members)
-    unsettled = [*_unsettled(recording, a, tracking), *tracking.reasons]
+    # Where no mission was given, nobody was to go anywhere.
+    unsettled = [] if recording.epoch_ns is None else [*_unsettled(recording, a, tracking), *tracking.reasons]
     own = sorted([*data.reasons, *states], key=lambda reason: not of_fault(reason))
     found = [*recording.reasons, *own]
     for name, each in violations.items():

@@ -149,7 +149,6 @@ BY_OTHERS: Final = {
         deploy/report/html
         deploy/report/link_figure
         deploy/report/oracle_section
-        deploy/report/run_folder
         deploy/report/timing_figure
         deploy/report/trajectory_figure
         deploy/sweep/figures
