@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
-from deploy.console.wording import robots
+from deploy.console.wording import FEW, robots
 
 SILENT_NS: Final = 2 * NS_PER_S
 """Who has sent no beacon for so long after the next one was due is not heard."""
@@ -133,10 +133,15 @@ class SilentBodies:
         return found
 
 
-def in_words(bodies: Iterable[SilentBody]) -> list[str]:
-    """Lines for people: each robot that nobody hears, and all at once those that only some do not hear."""
+def in_words(bodies: Iterable[SilentBody], each_max: int = FEW) -> list[str]:
+    """Lines for people: each robot that nobody hears, or one for all if they are more than `each_max`; and
+    all at once those that only some do not hear."""
     bodies = list(bodies)
-    lines = [f"not heard: {body}" for body in bodies if not body.heard]
+    unheard = [body for body in bodies if not body.heard]
+    lines = [f"not heard: {body}" for body in unheard]
+    if len(unheard) > each_max:
+        most_s = max(body.silent_s for body in unheard)
+        lines = [f"not heard: {robots([body.robot for body in unheard])} for up to {most_s:.0f} s"]
     partly = [body for body in bodies if body.heard]
     if partly:
         lines.append(f"not heard by all others: {robots([body.robot for body in partly])}")

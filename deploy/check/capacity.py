@@ -33,6 +33,12 @@ passes on; of `run` for one that it records."""
 FULL: Final = 0.65
 """So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
 takes more than driving. What is nearly as much slows down at times (`agent.supervision.overload`)."""
+SPREAD: Final = 1.15
+"""A machine that others use, too, is measured as so many times as fast now as a minute later, at most: 1.09
+were found within 23 minutes (`deploy.processes.machine`). What is said to fit leaves room for that: else
+`handfast run` would refuse a rate that `handfast check` has just proposed."""
+ROOMY: Final = FULL / SPREAD
+"""What takes a smaller share of a machine than this is not refused a minute later."""
 TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
 TIMEOUT_PERIODS: Final = 3.0
 """Fields of `[control]` that must be at least two periods; with so many one lost message is nothing."""
@@ -95,14 +101,24 @@ def used(cost: Cost, machine: Machine) -> float:
     return cost.whole / (machine.cores * machine.speed)
 
 
+def is_refused(fleet: Fleet, machine: Machine) -> bool:
+    """Whether a machine carries no such fleet, as it was measured just now."""
+    return _takes(fleet, machine) > FULL
+
+
+def _takes(fleet: Fleet, machine: Machine) -> float:
+    """The share that counts: 0 of small fleets."""
+    return used(cost_of(fleet), machine) if len(fleet.robots) >= ROBOTS_MIN else 0.0
+
+
 def carried(fleet: Fleet, machine: Machine) -> int:
-    """How many robots like those of `fleet` a machine carries, at its rate."""
+    """How many robots like those of `fleet` a machine carries, at its rate, whenever it is measured."""
     least, most = 0, 1
-    while used(cost_of(fleet, most), machine) <= FULL:
+    while used(cost_of(fleet, most), machine) <= ROOMY:
         least, most = most, 2 * most
     while most - least > 1:
         middle = (least + most) // 2
-        fits = used(cost_of(fleet, middle), machine) <= FULL
+        fits = used(cost_of(fleet, middle), machine) <= ROOMY
         least, most = (middle, most) if fits else (least, middle)
     return least
 
@@ -121,12 +137,12 @@ def slower(fleet: Fleet, rate_hz: float) -> Fleet:
 
 
 def that_fits(fleet: Fleet, machine: Machine) -> Fleet | None:
-    """`fleet` at the highest of the usual rates, below its own, at which the machine carries it; None where
-    there is none, or `check` finds errors there."""
+    """`fleet` at the highest of the usual rates, below its own, at which the machine carries it whenever it
+    is measured; None where there is none, or `check` finds errors there."""
     for rate_hz in RATES_HZ:
         if rate_hz < fleet.fleet.rate_hz:
             found = slower(fleet, rate_hz)
-            if used(cost_of(found), machine) <= FULL:
+            if used(cost_of(found), machine) <= ROOMY:
                 return None if any(finding.level == "error" for finding in check(found)) else found
     return None
 
@@ -152,16 +168,23 @@ def describe_cost(fleet: Fleet) -> str:
 def describe_capacity(fleet: Fleet, machine: Machine) -> str:
     """How many robots like these a machine carries, in a sentence without its end."""
     count, cores = carried(fleet, machine), f"{machine.cores:g} core{'s' * (machine.cores != 1)}"
-    return f"this machine ({cores}) carries about {count} robots like these at {fleet.fleet.rate_hz:g} Hz"
+    text = f"this machine ({cores}) carries about {count} robots like these at {fleet.fleet.rate_hz:g} Hz"
+    return f"{text}; {len(fleet.robots)} may be slowed down at times" if _is_tight(fleet, machine) else text
 
 
 def overload(fleet: Fleet, machine: Machine) -> str:
     """Why a machine does not carry `fleet`, and what would fit, as a sentence without its end; "" where it
     does."""
-    n, cost = len(fleet.robots), cost_of(fleet)
-    if n < ROBOTS_MIN or used(cost, machine) <= FULL:
-        return ""
-    needs = cost.whole / machine.speed
+    return _too_much(fleet, machine) if is_refused(fleet, machine) else ""
+
+
+def _is_tight(fleet: Fleet, machine: Machine) -> bool:
+    """Whether the machine carries `fleet`, but may not when it is measured again."""
+    return ROOMY < _takes(fleet, machine) <= FULL
+
+
+def _too_much(fleet: Fleet, machine: Machine) -> str:
+    n, needs = len(fleet.robots), cost_of(fleet).whole / machine.speed
     found = that_fits(fleet, machine)
     if found is None:
         advice = "drive fewer, on a larger machine or in virtual time (`handfast simulate`)"
@@ -175,14 +198,18 @@ def overload(fleet: Fleet, machine: Machine) -> str:
 
 
 def check_capacity(fleet: Fleet, machine: Machine) -> Iterator[Finding]:
-    """Warns of a fleet that this machine does not carry with `handfast run`, says how many it does."""
+    """Warns of a fleet that this machine does not carry with `handfast run`, or may not, says how many it
+    does."""
     if len(fleet.robots) < ROBOTS_MIN:
         return
-    text = overload(fleet, machine)
-    if text:
-        yield Finding("warning", "fleet.rate_hz", f"`handfast run` refuses it here: {text}")
+    place = "fleet.rate_hz"
+    if is_refused(fleet, machine):
+        yield Finding("warning", place, f"`handfast run` refuses it here: {_too_much(fleet, machine)}")
+    elif _is_tight(fleet, machine):
+        text = "`handfast run` may refuse it here, where others use this machine, too"
+        yield Finding("warning", place, f"{text}: {_too_much(fleet, machine)}")
     else:
-        yield Finding("info", "fleet.rate_hz", describe_capacity(fleet, machine))
+        yield Finding("info", place, describe_capacity(fleet, machine))
 
 
 def _percent(cores: float) -> str:

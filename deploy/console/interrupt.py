@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final
 
 _unanswered: Final[list[int]] = []
@@ -43,10 +45,32 @@ class Interrupt:
     def __init__(self) -> None:
         self.count = 0
         self.number = 0
+        self._answer = ""
+        self._raises = False
 
     def _on_signal(self, number: int, _frame: object) -> None:
         self.count += 1
         self.number = number
+        if self._answer:
+            # Past `sys.stderr`, in the midst of whose own writing this may come.
+            with suppress(OSError, ValueError, AttributeError):  # there may be none
+                line = f"{signal.Signals(number).name}: {self._answer}\n"
+                os.write(sys.stderr.fileno(), line.encode(errors="replace"))
+        if self._raises:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def answered(self, text: str, *, raises: bool = False) -> Iterator[None]:
+        """Meanwhile each is answered at once, with what is being done about it.
+
+        Args:
+            raises: each also raises KeyboardInterrupt, where what is under way may be broken off.
+        """
+        self._answer, self._raises = text, raises
+        try:
+            yield
+        finally:
+            self._answer, self._raises = "", False
 
     @contextmanager
     def caught(self) -> Iterator[Interrupt]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 from agent.control.safety_distances import speed_max
@@ -13,12 +14,21 @@ NAMES_SHOWN: Final = 8
 FEW: Final = 20
 """Of so many hosts or robots each has a line of its own; more are summed up, but for those where something is
 wrong."""
+ALIKE_MAX: Final = 3
+"""So many texts that differ in nothing but numbers are said one by one; more are one text."""
+_ROBOTS: Final = r"\brobots? (?P<ids>\d+(?:, \d+)*(?: and \d+)?\b)(?! more|[.:]\d)"
+_NUMBER: Final = r"(?<![\w.:/-])-?\d+(?:\.\d+)?(?![\w/-]|[.:]\d)"
+_PART: Final = re.compile(f"{_ROBOTS}|{_NUMBER}")
+"""What texts that are alike may differ in: names of robots, and numbers that stand alone (no time of day, no
+address)."""
 
 
 def robots(ids: Iterable[Any]) -> str:
-    """'robot 3', 'robots 1, 2 and 3', or 'robots 1, 2, 3, 4, 5, 6, 7, 8 and 37 more'."""
+    """'robot 3', 'robots 1, 2 and 3', or '45 robots (1-30, 33, 35-40, 42 and 7 more)'."""
     shown = list(ids)
-    if 1 < len(shown) <= NAMES_SHOWN:
+    if len(shown) > NAMES_SHOWN:
+        return f"{len(shown)} robots ({some(shown)})"
+    if len(shown) > 1:
         return f"robots {some(shown[:-1])} and {shown[-1]}"
     return f"robot{'s' * (len(shown) != 1)} {some(shown)}"
 
@@ -29,11 +39,75 @@ def counted(name: str, numbers: Iterable[Any]) -> str:
     return f"{name} {some(shown)} is" if len(shown) == 1 else f"{name}s {some(shown)} are"
 
 
-def some(ids: Iterable[Any]) -> str:
-    """The first few of a list: '1, 2, 3', or '1, 2, 3, 4, 5, 6, 7, 8 and 37 more'."""
-    shown = [str(number) for number in ids]
-    text = ", ".join(shown[:NAMES_SHOWN])
-    return f"{text} and {len(shown) - NAMES_SHOWN} more" if len(shown) > NAMES_SHOWN else text
+def some(ids: Iterable[Any], shown: int = NAMES_SHOWN) -> str:
+    """The first few of a list: '1, 2, 3'; of one that is longer than `NAMES_SHOWN` the numbers that follow
+    each other together, and `shown` such parts: '1-30, 33, 35-40, 42 and 7 more'."""
+    every = list(ids)
+    parts = _runs(every) if len(every) > NAMES_SHOWN else [[each] for each in every]
+    text = ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts[:shown])
+    left = sum(map(len, parts[shown:]))
+    return f"{text} and {left} more" if left else text
+
+
+def _runs(ids: Sequence[Any]) -> list[list[Any]]:
+    """A list in parts, of numbers that follow each other; two are two parts."""
+    out: list[list[Any]] = []
+    for each in ids:
+        if out and isinstance(each, int) and each - 1 == out[-1][-1]:
+            out[-1].append(each)
+        else:
+            out.append([each])
+    return [part for run in out for part in ([run] if len(run) > 2 else [[each] for each in run])]
+
+
+def grouped(said: Iterable[tuple[str, int]]) -> list[tuple[str, list[int]]]:
+    """What is said, and the robots that it is said of, in the order in which it was said first.
+
+    Where more than `ALIKE_MAX` texts differ in nothing but numbers, they are one, which says from which to
+    which: a hundred robots that are late by as many times are one matter.
+
+    Args:
+        said: pairs of a text and a robot.
+    """
+    alike: dict[str, dict[str, list[int]]] = {}
+    for text, robot in said:
+        alike.setdefault(_PART.sub(_mask, text), {}).setdefault(text, []).append(robot)
+    out: list[tuple[str, list[int]]] = []
+    for texts in alike.values():
+        if len(texts) > ALIKE_MAX:
+            out.append((_in_one(list(texts)), sorted(robot for ids in texts.values() for robot in ids)))
+        else:
+            out += texts.items()
+    return out
+
+
+def lines_of(said: Iterable[tuple[str, int]]) -> list[str]:
+    """A line for each robot, 'robot 3: running'; of more than `FEW` one for all of whom the same is said.
+
+    Args:
+        said: pairs of a text and a robot.
+    """
+    every = list(said)
+    same = grouped(every) if len(every) > FEW else [(text, [robot]) for text, robot in every]
+    return [f"{robots(ids)}: {text}" for text, ids in same]
+
+
+def _mask(part: re.Match[str]) -> str:
+    return "robots" if part["ids"] else "0"
+
+
+def _in_one(texts: Sequence[str]) -> str:
+    """Texts that are alike, as one."""
+    found = iter(zip(*(_PART.finditer(text) for text in texts), strict=True))
+    return _PART.sub(lambda _: _spanned(next(found)), texts[0])
+
+
+def _spanned(parts: Sequence[re.Match[str]]) -> str:
+    """What stands at one place of texts that are alike: all robots that do, or the least and the greatest."""
+    if parts[0]["ids"]:
+        return robots(sorted({int(number) for part in parts for number in re.findall(r"\d+", part["ids"])}))
+    numbers = sorted((part[0] for part in parts), key=float)
+    return numbers[0] if numbers[0] == numbers[-1] else f"{numbers[0]} to {numbers[-1]}"
 
 
 def clock_ahead(by_s: float) -> str:

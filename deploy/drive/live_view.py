@@ -13,7 +13,7 @@ from rich.table import Table
 from agent.supervision.state_machine import State
 from deploy.analysis.silent_bodies import in_words
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
-from deploy.console.wording import some
+from deploy.console.wording import NAMES_SHOWN, some
 from deploy.drive.watch import Picture, RobotPicture
 
 STYLES: Final = {
@@ -30,7 +30,9 @@ STYLES: Final = {
 ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
 REASONS_MAX: Final = 3
-"""Robots that are released, or lag, whose reasons are in the line that sums up; of more only the numbers."""
+"""Robots that are released, lag, or are silent, of which more is said than their numbers."""
+PARTS_MAX: Final = 4
+"""Of many robots in one state so many numbers, or ranges of numbers, are named: there are several states."""
 _LAST_NAME: Final = re.compile(r"robot \d+$")
 FAULTS_MAX: Final = 4
 """Faults that are named; of more only the number is said."""
@@ -67,7 +69,7 @@ class Lines(LinesView):
         if self._quiet or picture.time_s is None or picture.time_s < self._due_s:
             return
         self._due_s = (picture.time_s // self._period_s + 1.0) * self._period_s
-        lines = [summary(picture), *in_words(picture.silent), faults_line(picture)]
+        lines = [summary(picture), *in_words(picture.silent, REASONS_MAX), faults_line(picture)]
         self.say(f"{picture.time_s:6.1f} s  {', '.join(filter(None, lines))}")
 
 
@@ -78,7 +80,8 @@ class Terminal(TerminalView):
         super().__init__(stream, transient=True)
 
     def show(self, picture: Picture) -> None:
-        lines = [plain(summary(picture)), *(plain(line, "yellow") for line in in_words(picture.silent))]
+        silent = in_words(picture.silent, REASONS_MAX)
+        lines = [plain(summary(picture)), *(plain(line, "yellow") for line in silent)]
         if picture.faults:
             lines.append(plain(faults_line(picture), "yellow"))
         self._draw(Group(_bar(picture), *lines, _table(picture)))
@@ -96,12 +99,16 @@ def summary(picture: Picture) -> str:
     for robot, about in picture.robots.items():
         states.setdefault(about.state or "silent", []).append(robot)
     for state, robots in states.items():
-        shown = [str(robot) for robot in robots]
         if state == State.RELEASED.value and len(robots) <= REASONS_MAX:
-            shown = [f"{robot} ({picture.robots[robot].reason})" for robot in robots]
+            shown = ", ".join(f"{robot} ({picture.robots[robot].reason})" for robot in robots)
         elif len(states) == 1:
-            shown = []
-        parts.append(f"{state}: {', '.join(shown)}" if shown else f"all {state}")
+            parts.append(f"all {state}")
+            continue
+        elif len(robots) > NAMES_SHOWN:
+            shown = f"{len(robots)} ({some(robots, PARTS_MAX)})"
+        else:
+            shown = some(robots)
+        parts.append(f"{state}: {shown}")
     if picture.lagging:
         parts.append(f"off place: {_lags(picture)}")
     # Both of a pair see it: the one whose clock is behind says it.

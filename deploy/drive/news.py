@@ -9,7 +9,7 @@ from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages.types import Mission, Resume, Stop
 from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.console.wording import robots
+from deploy.console.wording import grouped, robots
 
 SENTENCES_MAX: Final = 8
 """So many changes of one moment are shown; of more only the number."""
@@ -66,13 +66,12 @@ class News:
         at = "" if time_s is None else f"{time_s:.1f} s: "
         said = [at + text for text in self._orders]
         self._orders = []
-        who: dict[str, set[int]] = {}
-        for robot, before, state, reason in self._changes:
-            text = self._words(robot, before, state, reason, time_s)
-            if text:
-                who.setdefault(text, set()).add(robot)
+        told = dict.fromkeys(
+            (self._words(robot, before, state, reason, time_s), robot)
+            for robot, before, state, reason in self._changes
+        )
         self._changes = []
-        changes = [f"{at}{_are(ids)} {text}" for text, ids in who.items()]
+        changes = [f"{at}{_are(ids)} {text}" for text, ids in grouped(told) if text]
         more = len(changes) - SENTENCES_MAX
         said += changes[:SENTENCES_MAX]
         return [*said, f"{at}and {more} more changes of state"] if more > 0 else said

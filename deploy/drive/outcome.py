@@ -6,7 +6,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from shlex import quote
+from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
@@ -16,8 +17,12 @@ from deploy.inventory.folders import out_folder
 from deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:
+    from deploy.console.interrupt import Interrupt
     from deploy.report.run_folder import RunFolder
     from deploy.verdict.run_result import RunResult
+
+EARLY_S: Final = 0.5
+"""A drive that ended so long before its time has ended early (`deploy.verdict.completeness` says it, too)."""
 
 
 def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolder:
@@ -53,20 +58,23 @@ def finish(
     options: argparse.Namespace,
     folder: RunFolder,
     reasons: list[str],
+    interrupt: Interrupt,
     *,
-    interrupted: bool,
     warnings: Sequence[str] = (),
 ) -> int:
     """Completes the folder, says the verdict, gives the exit status."""
     from deploy.recording.recorder import RecordingError
 
     try:
-        result = folder.finish(reasons, interrupted=interrupted, warnings=warnings, report=options.report)
+        result = folder.finish(reasons, interrupt=interrupt, warnings=warnings, report=options.report)
     except RecordingError as error:
         print(f"handfast: {error}", file=sys.stderr)
         return FAILED
     status = conclude(result, folder.path)
-    return INTERRUPTED if interrupted else status
+    if options.report and not (folder.path / REPORT_FILE).exists():
+        makes = f"`handfast report {quote(str(folder.path))}` makes them"
+        print(f"  figures and report left out after Ctrl-C: {makes}")
+    return INTERRUPTED if interrupt.count else status
 
 
 def conclude(result: RunResult, folder: Path) -> int:
@@ -76,16 +84,34 @@ def conclude(result: RunResult, folder: Path) -> int:
         print(f"  {printable(reason)}")
     for warning in result.warnings:
         print(f"  warning: {printable(warning)}")
+    recording = result.recording
+    if recording.epoch_ns is not None and recording.end_s > 0.0:  # else robots stood as they started
+        print(f"  {_of_what(result)}{_figures(result)}")
+    report = folder / REPORT_FILE
+    print(f"  {report if report.exists() else folder}")
+    return PASSED if result.passed else FAILED
+
+
+def _figures(result: RunResult) -> str:
     metrics = result.metrics
     settled = metrics["settling_time_s"]
     closest = result.analysis.closest
     error = metrics["final_distance_error_m"]
-    print(
-        "  formation "
+    return (
+        "formation "
         + (f"within 5 % after {settled:.1f} s" if settled is not None else "not within 5 % at the end")
         + (f", closest {closest.distance_m:.3f} m ({closest.pair[0]}-{closest.pair[1]})" if closest else "")
         + (f", last distance error {error * 1000:.1f} mm" if error is not None else "")
     )
-    report = folder / REPORT_FILE
-    print(f"  {report if report.exists() else folder}")
-    return PASSED if result.passed else FAILED
+
+
+def _of_what(result: RunResult) -> str:
+    """Of how much of the drive and of how many robots the figures are, where not of all, to stand before."""
+    recording = result.recording
+    parts = []
+    if recording.end_s < recording.planned_s - EARLY_S:
+        parts.append(f"the first {recording.end_s:.1f} s of {recording.planned_s:g} s")
+    seen = sum(bool((data.body.t >= 0.0).any()) for data in recording.robots.values())
+    if seen < len(recording.ids):
+        parts.append(f"{seen} of {len(recording.ids)} robots")
+    return f"of {' and '.join(parts)}: " if parts else ""

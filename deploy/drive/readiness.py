@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from agent.messages.types import PlantState, Status
 from agent.supervision.state_machine import State, at_rest
-from deploy.console.wording import NAMES_SHOWN, robots
+from deploy.console.wording import NAMES_SHOWN, grouped, robots
 
 
 def is_ready(state: str) -> bool:
@@ -61,11 +61,9 @@ def waits(
 
 def in_words(waits: Mapping[int, str]) -> str:
     """On one line; robots that wait for the same are named together, and of many reasons the first few."""
-    who: dict[str, list[int]] = {}
-    for robot, why in waits.items():
-        who.setdefault(why, []).append(robot)
-    shown = [f"{robots(ids)}: {why}" for why, ids in list(who.items())[:NAMES_SHOWN]]
-    left = sum(map(len, list(who.values())[NAMES_SHOWN:]))
+    who = grouped((why, robot) for robot, why in waits.items())
+    shown = [f"{robots(ids)}: {why}" for why, ids in who[:NAMES_SHOWN]]
+    left = sum(len(ids) for _, ids in who[NAMES_SHOWN:])
     if left:
         shown.append(f"and {left} more robot{'s' * (left != 1)}")
     return "; ".join(shown)

@@ -9,6 +9,7 @@ from typing import Final
 
 from agent.messages import key_expressions
 from deploy.console.interrupt import Interrupt
+from deploy.console.wording import NAMES_SHOWN
 from deploy.drive.fleet_state import FleetState
 from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
@@ -99,9 +100,10 @@ class Standstill:
         for way in ways or ():
             way.close()
         self.deaf = [robot for robot in fleet.ids if not has_acknowledged(statuses.get(robot), stop)]
-        for robot in [robot for robot in self.deaf if others.stands_by(robot)]:
-            view.say(others.outcome(robot))
-            self.deaf.remove(robot)
+        reached = [robot for robot in self.deaf if others.stands_by(robot)]
+        for line in others.outcomes_of(reached, each=len(reached) <= NAMES_SHOWN):
+            view.say(line)
+        self.deaf = [robot for robot in self.deaf if robot not in reached]
 
     @property
     def _timeout_s(self) -> float:

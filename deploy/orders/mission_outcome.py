@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from agent.common.time import NS_PER_S
 from agent.messages.codec import newer
 from agent.messages.types import Mission, Status
+from deploy.console.wording import lines_of
 
 
 def words(mission: Mission) -> str:
@@ -63,7 +64,7 @@ class Ordering:
             known = other is not None and newer(other, self._mission)
             what = f" ({other.note})" if other is not None and known and other.note else ""
             return [f"not done: another operator's order was quicker{what}; look, and order again"]
-        return [f"robot {robot}: {self._outcome(robot)}" for robot in self._ids]
+        return lines_of((self._outcome(robot), robot) for robot in self._ids)
 
     def _outcome(self, robot: int) -> str:
         if robot not in self._agents and robot in self._removed:

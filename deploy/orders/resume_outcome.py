@@ -11,6 +11,7 @@ from agent.messages.types import Message, PlantState, Resume, Status
 from agent.supervision.situation import NOT_SAID
 from agent.supervision.state_machine import DRIVING_NAMES, MISSION_OVER, State
 from agent.supervision.stop_latch import AWAITED
+from deploy.console.wording import lines_of
 
 _OVER: Final = (State.STOPPED.value, MISSION_OVER)
 
@@ -66,26 +67,34 @@ class Resuming:
         """Whether all of `robots` run."""
         return all(map(self.runs, self.robots))
 
+    @property
+    def outcomes(self) -> list[str]:
+        """What became of it, in words: a line for each robot, or of many for all of whom it is the same."""
+        return lines_of((self._outcome(robot), robot) for robot in self.robots)
+
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""
+        return f"robot {robot}: {self._outcome(robot)}"
+
+    def _outcome(self, robot: int) -> str:
         status, plant = self._statuses.get(robot), self._plants.get(robot)
         if status is None or plant is None:
             silent = "its agent" if status is None else "its plant"
-            return f"robot {robot}: nothing heard from {silent}"
+            return f"nothing heard from {silent}"
         if self.runs(robot):
             over = f": {MISSION_OVER}" if status.state == State.STOPPED.value else ""
-            return f"robot {robot}: {status.state}{over}"
+            return f"{status.state}{over}"
         if plant.healthy and not plant.obeying:
             note = plant.note or "its body does not obey"
             if note.endswith(AWAITED):
                 why = "it has had a later resume: is this machine's clock behind that of another operator?"
             else:
                 why = "its operator must give it back first"
-            return f"robot {robot}: still released: {note}: {why}"
+            return f"still released: {note}: {why}"
         why = status.reason if plant.healthy else plant.note or status.reason
         if status.state in DRIVING_NAMES and not plant.driving:
             why = "its plant brakes"
-        text = f"robot {robot}: {status.state}" + (f": {why}" if why else "")
+        text = status.state + (f": {why}" if why else "")
         if status.order_version < self.message.version:
             return f"{text}; it has not acknowledged the resume"
         return f"{text}; ordered after this resume" if self._stopped_later(status) else text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
@@ -12,7 +13,7 @@ from agent.messages.key_expressions import ROLES
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
 from agent.messages.versions import AHEAD_US_MAX, can_be
 from agent.supervision.state_machine import State
-from deploy.console.wording import clock_ahead, clock_behind
+from deploy.console.wording import clock_ahead, clock_behind, grouped, robots
 from deploy.orders.robot_clocks import RobotClocks
 
 BRAKING: Final = frozenset(
@@ -235,33 +236,39 @@ class Stopping:
         clock = [clock_ahead(self.ahead_s)] if self.ahead_s else []
         if behind_s := self.clocks.behind_s:
             clock = [clock_behind(behind_s)]
+        return [*self.outcomes_of(self._ids, each=each), *clock]
+
+    def outcomes_of(self, ids: Sequence[int], *, each: bool) -> list[str]:
+        """The same of some robots, without what is wrong with this machine's clock."""
         if each:
-            return [*(self.outcome(robot) for robot in self._ids), *clock]
+            return [self.outcome(robot) for robot in ids]
         ways: Counter[str] = Counter()
-        last_ns, lines = 0, []
-        for robot in self._ids:
+        last_ns, said = 0, []
+        for robot in ids:
             if not self.stands_by(robot):
-                lines.append(self.outcome(robot))
+                said.append((self._words(robot), robot))
                 continue
             known = [by[robot] for by in (self._agents, self._plants) if robot in by]
             last_ns = max(last_ns, *(brakes.at_ns for brakes in known))
             ways[" and ".join(dict.fromkeys(brakes.way.partition(" to ")[0] for brakes in known))] += 1
+        lines = [f"{robots(them)}: {text}" for text, them in grouped(said)]
         if ways:
             by_way = ", ".join(f"{count} {way}" for way, count in ways.most_common())
             after_ms = (last_ns - self._begun_ns) / 1e6
             lines.append(f"{ways.total()} robots brake, the last after {after_ms:.0f} ms ({by_way})")
-        return lines + clock
+        return lines
 
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""
+        return f"robot {robot}: {self._words(robot)}"
+
+    def _words(self, robot: int) -> str:
         if self._is_down(robot):
-            return (
-                f"robot {robot}: is down; it finds the stop when it comes up ({self._down[robot, 'agent']})"
-            )
+            return f"is down; it finds the stop when it comes up ({self._down[robot, 'agent']})"
         agent, plant = self._agents.get(robot), self._plants.get(robot)
         ways = dict.fromkeys(each.way for each in (agent, plant) if each is not None)
         by = f" ({', '.join(ways)})" if ways and self.stands_by(robot) else ""
-        return f"robot {robot}: {self._agent_words(robot)}, {self._plant_words(robot)}{by}"
+        return f"{self._agent_words(robot)}, {self._plant_words(robot)}{by}"
 
     def _agent_words(self, robot: int) -> str:
         if robot not in self._states:

@@ -44,6 +44,12 @@ def write_report(folder: Path, result: RunResult) -> Path:
     return path
 
 
+def remove_report(folder: Path) -> None:
+    """Removes the figures and the page, as far as they are there, and one that is half written."""
+    for name in (REPORT_FILE, *(f"{name}.png" for name in figures.PICTURES)):
+        (folder / name).unlink(missing_ok=True)
+
+
 def _text_of(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")

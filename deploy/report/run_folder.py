@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import tomli_w
 
@@ -11,12 +12,17 @@ from agent.common.errors import Error
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
 from agent.messages.types import Message
+from deploy.console.interrupt import Interrupt
 from deploy.recording.collector import RunData
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder
 from deploy.recording.run_files import FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
 from deploy.verdict import metrics
 from deploy.verdict.run_result import RunResult
+
+COMPLETING: Final = "recording and metrics.json are being completed, figures and report left out"
+COMPLETING_ALL: Final = "recording and metrics.json are being completed"
+LEAVING_OUT: Final = "figures and report are left out"
 
 
 class FolderError(Error, RuntimeError):
@@ -76,18 +82,42 @@ class RunFolder:
         self,
         reasons: Sequence[str] = (),
         *,
-        interrupted: bool = False,
+        interrupt: Interrupt | None = None,
         warnings: Sequence[str] = (),
         report: bool = True,
     ) -> RunResult:
         """Completes the recording and writes what comes of it, as `write_result` does.
 
+        Args:
+            interrupt: whose first Ctrl-C, if there was one before this, has ended the drive. Another one has
+                figures and report left out, be they begun; recording and ``metrics.json`` are complete all
+                the same.
+
         Raises:
             deploy.recording.recorder.RecordingError: something cannot be written.
         """
-        self.close(reasons, interrupted=interrupted, warnings=warnings)
-        recording = self._data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings)
-        return write_result(self.path, RunResult(recording), report=report)
+        interrupt = interrupt or Interrupt()
+        before = interrupt.count
+        with interrupt.answered(COMPLETING if report else COMPLETING_ALL):
+            self.close(reasons, interrupted=before > 0, warnings=warnings)
+            recording = self._data.recording(reasons=reasons, interrupted=before > 0, warnings=warnings)
+            result = write_result(self.path, RunResult(recording), report=False)
+            report = report and not _is_hurried(interrupt, before)
+            if report:  # loaded where nothing is raised: a module that is being loaded may swallow it
+                from deploy.report.report import remove_report, write_report
+        if report:
+            try:
+                with interrupt.answered(LEAVING_OUT, raises=True):
+                    if not _is_hurried(interrupt, before):
+                        write_report(self.path, result)
+            except KeyboardInterrupt:
+                remove_report(self.path)
+        return result
+
+
+def _is_hurried(interrupt: Interrupt, before: int) -> bool:
+    """Whether a Ctrl-C came that has not just ended the drive; `before`: how many had come by its end."""
+    return interrupt.count > before or before > 1
 
 
 def rebuild(folder: Path) -> RunResult:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import hypot, inf
 from typing import Final
@@ -12,7 +12,7 @@ import numpy as np
 from agent.supervision.state_machine import State
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import downs
-from deploy.console.wording import robots
+from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.recording.recording import Recording
 from deploy.verdict.overload import late_robots, on_late_machines
 from deploy.verdict.standstills import Cause, Stall, stalls
@@ -22,6 +22,8 @@ SILENCE_S: Final = 2.0
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
 _TOO_SLOW: Final = "their machine was too slow"
+FEW_GAPS: Final = 3
+"""So many that come of a machine that is too slow are told one by one."""
 _PERIODS: Final = 2.5
 """Or for longer than so many periods of a slow body: a late tick is no missing pose."""
 
@@ -87,45 +89,49 @@ class Completeness:
             if self._matters(gap) and (known is None or gap.lasts_s > known.lasts_s):
                 longest[gap.robot] = gap
         late = self._of_one_cause(longest)
-        together: dict[str, list[int]] = {}
+        together: dict[str, list[Gap]] = {}
+        alone: list[Gap] = []
         for robot, gap in longest.items():
             cause = gap.stall.cause.value if gap.stall else _TOO_SLOW if robot in late else ""
-            if cause:
-                together.setdefault(cause, []).append(robot)
-                continue
-            out.append(
-                f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to "
+            (together.setdefault(cause, []) if cause else alone).append(gap)
+        if len(alone) <= NAMES_SHOWN:
+            out += [
+                f"The data are incomplete: robot {gap.robot} sent no pose from {gap.start_s:.2f} s to "
                 f"{gap.end_s:.2f} s{', for its machine was too slow' if gap.is_late else ''}."
-            )
-        for cause, ids in together.items():
-            most = max((longest[robot] for robot in ids), key=lambda gap: gap.lasts_s)
-            out.append(
-                f"The data are incomplete: no pose came of {robots(ids)} for up to {most.lasts_s:.1f} s: "
-                f"{cause}."
-            )
+                for gap in alone
+            ]
+        else:
+            out.append(f"The data are incomplete: {_many(alone)}.")
+        for cause, gaps in together.items():
+            out.append(f"The data are incomplete: {_many(gaps)}: {cause}.")
         return [*out, *self._fell_silent(self.members), *_cut_short(recording)]
 
     @property
     def warnings(self) -> list[str]:
         """Sentences that fail nothing."""
-        out = []
         end_s = self._recording.end_s
-        for gap in self._gaps:
-            if self._matters(gap) or gap.stall:
-                continue
-            if gap.is_late and not gap.rule and self._placed(gap.robot, gap.end_s):
-                out.append(
-                    f"Robot {gap.robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s, for its "
-                    f"machine was too slow: it moved {gap.moved_m:.2f} m meanwhile."
-                )
+        known = [gap for gap in self._gaps if not self._matters(gap) and not gap.stall]
+        late = [gap for gap in known if self._is_of_machine(gap)]
+        if len(late) <= FEW_GAPS:
+            out = [
+                f"Robot {gap.robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s, for its "
+                f"machine was too slow: it moved {gap.moved_m:.2f} m meanwhile."
+                for gap in late
+            ]
+        else:
+            most_m = max(gap.moved_m for gap in late)
+            who = f"{_many(late).capitalize()}, for a machine was too slow"
+            out = [f"{who}: they moved up to {most_m:.2f} m meanwhile."]
+        for gap in known:
+            if self._is_of_machine(gap):
                 continue
             until = "the end" if gap.end_s >= end_s else f"{gap.end_s:.2f} s"
             when = f"from {gap.start_s:.2f} s to {until} its place is not known"
-            known = "" if gap.end_s >= end_s else ", and taken from what came before and after"
+            taken = "" if gap.end_s >= end_s else ", and taken from what came before and after"
             what = f"Robot {gap.robot} had no place in the formation any more"
             if gap.rule:
                 what = f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant"
-            out.append(f"{what}: {when}{known}.")
+            out.append(f"{what}: {when}{taken}.")
         out += self._fell_silent(frozenset(self._recording.ids) - self.members)
         for robot in sorted(self.members):
             for down in downs(self._recording, robot, "agent"):
@@ -155,6 +161,10 @@ class Completeness:
         hidden = (gap.stall and gap.stall.cause is not Cause.PLANTS) or gap.is_late
         known = gap.rule or (hidden and gap.moved_m <= self._a.safe_m)
         return not (known and gap.end_s < self._recording.end_s)
+
+    def _is_of_machine(self, gap: Gap) -> bool:
+        """Whether a machine that was too slow hides a robot that had a place, and nobody had stopped it."""
+        return gap.is_late and not gap.rule and self._placed(gap.robot, gap.end_s)
 
     def _of_one_cause(self, silent: Collection[int]) -> list[int]:
         """Which of these are one matter, as they are of a machine that was too slow: what they said may not
@@ -192,6 +202,12 @@ class Completeness:
                 "s on: their machine was too slow, for them, their router or the program that records."
             )
         return out
+
+
+def _many(gaps: Sequence[Gap]) -> str:
+    """Of which robots no pose came, and for how long: a sentence without its end."""
+    most_s = max(gap.lasts_s for gap in gaps)
+    return f"no pose came of {robots(dict.fromkeys(gap.robot for gap in gaps))} for up to {most_s:.1f} s"
 
 
 def last_states(recording: Recording) -> dict[int, tuple[str, str] | None]:

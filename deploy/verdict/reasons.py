@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -12,7 +11,7 @@ from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.patience import SHARE_MAX
 from deploy.analysis.stability import SETTLED
-from deploy.console.wording import NAMES_SHOWN, robots
+from deploy.console.wording import NAMES_SHOWN, grouped, robots
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics, overload
 from deploy.verdict.completeness import Completeness, last_states
@@ -44,7 +43,8 @@ def reasons(
     """
     data = Completeness(recording, a)
     states = _states(recording, data.members)
-    unsettled = [*_unsettled(recording, a, tracking), *tracking.reasons]
+    # Where no mission was given, nobody was to go anywhere.
+    unsettled = [] if recording.epoch_ns is None else [*_unsettled(recording, a, tracking), *tracking.reasons]
     own = sorted([*data.reasons, *states], key=lambda reason: not of_fault(reason))
     found = [*recording.reasons, *own]
     for name, each in violations.items():
@@ -100,22 +100,20 @@ def _late_laws(recording: Recording) -> list[str]:
 
 def _states(recording: Recording, among: frozenset[int]) -> list[str]:
     """Sentences for those of some robots that did not drive at the end, one for all with the same reason."""
-    same: dict[tuple[str, str], list[int]] = {}
+    by_state: dict[str, list[tuple[str, int]]] = {}
     for robot, last in last_states(recording).items():
         if robot in among and last is not None and last[0] not in _GOOD_STATES:
-            same.setdefault(last, []).append(robot)
-    reasons_of = Counter(state for state, _ in same)
-    out, told = [], set()
-    for (state, reason), ids in same.items():
-        if reasons_of[state] <= NAMES_SHOWN:
-            out.append(_ended(ids, state, reason))
-        elif state not in told:  # of a large fleet, all that a page of reasons says is that it did not drive
-            told.add(state)
-            all_ids = [robot for (its, _), those in same.items() if its == state for robot in those]
+            by_state.setdefault(last[0], []).append((last[1], robot))
+    out = []
+    for state, said in by_state.items():
+        same = grouped(said)
+        if len(same) <= NAMES_SHOWN:
+            out += [_ended(ids, state, reason) for reason, ids in same]
+        else:  # of a large fleet, all that a page of reasons says is that it did not drive
+            reason, ids = same[0]
             first = f"{robots(ids)}: {reason}" if reason else robots(ids)
-            out.append(
-                _ended(all_ids, state, f"{first}; the others for {reasons_of[state] - 1} other reasons")
-            )
+            others = f"{first}; the others for {len(same) - 1} other reasons"
+            out.append(_ended(sorted(robot for _, robot in said), state, others))
     return out
 
 

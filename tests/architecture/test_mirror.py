@@ -131,7 +131,6 @@ BY_OTHERS: Final = {
         deploy/check/shape
         deploy/console/data_files
         deploy/console/progress
-        deploy/console/wording
         deploy/faults/windows
         deploy/faults/wording
         deploy/orders/blend_time
@@ -150,7 +149,6 @@ BY_OTHERS: Final = {
         deploy/report/html
         deploy/report/link_figure
         deploy/report/oracle_section
-        deploy/report/run_folder
         deploy/report/timing_figure
         deploy/report/trajectory_figure
         deploy/sweep/figures

@@ -38,6 +38,6 @@ def _capacity(fleet: Fleet) -> Sequence[Finding]:
 
     if len(fleet.robots) < ROBOTS_MIN or any(robot.host for robot in fleet.robots):
         return ()
-    from deploy.processes.machine import measured
+    from deploy.processes.machine import measured_for
 
-    return tuple(check_capacity(fleet, measured()))
+    return tuple(check_capacity(fleet, measured_for(fleet)))

@@ -31,7 +31,8 @@ def _run(options: argparse.Namespace) -> int:
     with interrupt.caught():
         fleet = load(options)
         refuse_errors(options, fleet)
-        _refuse_overload(options, fleet)
+        with interrupt.answered("nothing was started", raises=True):
+            _refuse_overload(options, fleet)
         fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
@@ -46,7 +47,7 @@ def _run(options: argparse.Namespace) -> int:
             return FAILED
         finally:
             ports.close()
-        return finish(options, folder, run.reasons, interrupted=interrupt.count > 0)
+        return finish(options, folder, run.reasons, interrupt)
 
 
 def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
@@ -59,9 +60,9 @@ def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
 
     if len(fleet.robots) < ROBOTS_MIN:
         return
-    from deploy.processes.machine import measured
+    from deploy.processes.machine import measured, measured_for
 
-    machine = measured()
+    machine = measured_for(fleet) if options.check else measured()
     text = overload(fleet, machine)
     if text and options.check:
         raise InputError(f"{options.fleet}: not started: {text} (--no-check drives all the same)")

@@ -64,4 +64,4 @@ def _simulate(options: argparse.Namespace) -> int:
             speed = driven / took
             times = f"{speed:.0f}" if speed > 9.5 else f"{speed:.2g}"  # of a large fleet it is less than 1
             view.say(f"{driven:.1f} s of driving in {took:.2f} s, {times} times real time")
-        return finish(options, folder, simulation.reasons, interrupted=interrupt.count > 0)
+        return finish(options, folder, simulation.reasons, interrupt)

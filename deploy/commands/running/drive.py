@@ -185,8 +185,7 @@ def _attend(
             raise
         print(f"handfast: {error}", file=sys.stderr)
         return FAILED
-    interrupted = interrupt.count > 0
-    return finish(options, folder, drive.reasons, interrupted=interrupted, warnings=processes.warnings)
+    return finish(options, folder, drive.reasons, interrupt, warnings=processes.warnings)
 
 
 def _registered(fleet: Fleet, folder: Path) -> Registration:

@@ -30,8 +30,8 @@ def _resume(options: argparse.Namespace) -> int:
     given_ns = time.time_ns()
     fleet = running_fleet(options.fleet)
     resuming, known = resume(fleet, robots_named(fleet, options), given_ns)
-    for robot in resuming.robots:
-        print(resuming.outcome(robot))
+    for line in resuming.outcomes:
+        print(line)
     if resuming.others:
         them = "it has" if len(resuming.others) == 1 else "they have"
         print(f"{some_robots(resuming.others)} will go on as well: {them} waited for others since the start")

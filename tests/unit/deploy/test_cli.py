@@ -263,7 +263,8 @@ def test_more_robots_than_this_machine_carries_are_refused_with_what_fits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deploy.processes.machine.measured", lambda: Machine(2.0, 0.5))
+    monkeypatch.setattr("deploy.processes.machine.measured", lambda: Machine(2.0, 0.7))
+    monkeypatch.setattr("deploy.processes.machine.PAUSE_S", 0.0)
     assert main(["new", "many", "--lattice", "60"]) == 0
     assert main(["run", "many.toml"]) == 2
     told = capsys.readouterr().err

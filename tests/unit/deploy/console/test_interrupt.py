@@ -48,6 +48,25 @@ def test_it_is_forgotten_with_its_command() -> None:
         assert interrupt.count == 1
 
 
+def test_one_is_answered_at_once_with_what_is_done_about_it(capfd: pytest.CaptureFixture[str]) -> None:
+    with Interrupt().caught() as interrupt:
+        with interrupt.answered("it is being completed"):
+            signal.raise_signal(signal.SIGINT)
+            assert capfd.readouterr().err == "SIGINT: it is being completed\n"
+        signal.raise_signal(signal.SIGTERM)
+        assert capfd.readouterr().err == ""
+        assert interrupt.count == 2
+
+
+def test_what_may_be_broken_off_is(capfd: pytest.CaptureFixture[str]) -> None:
+    with Interrupt().caught() as interrupt:
+        with pytest.raises(KeyboardInterrupt), interrupt.answered("it is left out", raises=True):
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        assert interrupt.count == 2
+    assert capfd.readouterr().err == "SIGTERM: it is left out\n"
+
+
 def test_one_that_is_ignored_stays_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with remembered():

@@ -15,7 +15,7 @@ from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Sta
 from deploy.analysis.silent_bodies import SilentBody
 from deploy.console.data_files import FLEETS
 from deploy.drive.live_view import Lines, faults_line, summary
-from deploy.drive.watch import Watch
+from deploy.drive.watch import Picture, RobotPicture, Watch
 
 EPOCH_NS = 1_800_000_000 * NS_PER_S
 
@@ -137,6 +137,25 @@ def test_plain_lines_end_with_the_faults() -> None:
     stream = io.StringIO()
     Lines(stream, quiet=False, period_s=2.0).show(watch('[faults]\nloss = "10%"\n').picture(1.0))
     assert stream.getvalue().rstrip().endswith(", faults: loss 10% on every link")
+
+
+def test_a_line_of_a_hundred_robots_is_short() -> None:
+    def about(robot: int) -> RobotPicture:
+        state = ("running", "holding", "waiting", "released")[robot * robot % 7 % 4]
+        return RobotPicture(state, "its operator has it", 0.1, 400.0, 900, 3, off_m=1.0)
+
+    picture = Picture(4.2, 60.0, (0.698, 18, 27), (0.329, 1, 10), {k: about(k) for k in range(1, 101)})
+    picture.lagging = range(1, 101)
+    picture.silent = [SilentBody(k, 4.0 + k, k, 1.0, k, 1.0, 0.0, (1, 2), False) for k in range(1, 100, 3)]
+    stream = io.StringIO()
+    Lines(stream, quiet=False, period_s=2.0).show(picture)
+    (line,) = stream.getvalue().splitlines()
+    assert len(line) < 400, line
+    assert ", not heard: 33 robots (1, 4, 7, 10, 13, 16, 19, 22 and 25 more) for up to 101 s" in line
+    picture.silent, picture.lagging = (), ()
+    picture.robots = {k: about(1 if 30 < k < 90 else 3) for k in range(1, 101)}
+    assert summary(picture).endswith("waiting: 41 (1-30, 90-100), holding: 59 (31-89)"), summary(picture)
+    assert len(summary(picture)) < 200
 
 
 def told(watched: Watch, robot: int, state: str, reason: str, after_ns: int) -> None:

@@ -102,7 +102,23 @@ def test_a_stop_in_mid_drive_and_its_end() -> None:
 def test_many_changes_at_once_are_counted() -> None:
     made = news()
     for robot in range(1, SENTENCES_MAX + 4):
-        made.state(robot, "degraded", f"reason {robot}")
+        made.state(robot, "degraded", "x" * robot)
     said = made.sentences(2.0)
     assert len(said) == SENTENCES_MAX + 1
     assert said[-1] == "2.0 s: and 3 more changes of state"
+
+
+def test_many_that_are_late_by_as_many_times_are_one_sentence() -> None:
+    made = news()
+    for robot in range(1, 54):
+        made.state(
+            robot,
+            "holding",
+            f"overloaded: this machine ran late by 0.{robot + 10} s: stands until it does not",
+        )
+    made.state(60, "degraded", "without robot 2")
+    assert made.sentences(4.3) == [
+        "4.3 s: 53 robots (1-53) are holding: overloaded: this machine ran late by 0.11 to 0.63 s: stands "
+        "until it does not",
+        "4.3 s: robot 60 is degraded: without robot 2",
+    ]

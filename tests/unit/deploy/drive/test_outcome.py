@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from agent.messages.types import Mission, PlantState
 from deploy.drive.outcome import conclude
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import body, recorded
-from tests.unit.deploy.synthetic_run import make_fleet, messages, standing
+from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, standing
 
 
 def test_the_headline_names_the_closest_of_any_two(
@@ -23,3 +24,46 @@ def test_the_headline_names_the_closest_of_any_two(
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "FAILED"
     assert ", closest 0.100 m (1-3), " in said[-2]
+
+
+def said(result: RunResult, folder: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    conclude(result, folder)
+    return capsys.readouterr().out.splitlines()
+
+
+def test_figures_of_a_drive_that_was_cut_short_say_of_what_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pair = make_fleet([(0, 0), (1, 0)], [(1, 2)])
+    sent = list(messages(pair, in_formation(pair)))
+    whole = said(RunResult(recorded(pair, sent)), tmp_path, capsys)
+    assert whole[-2].startswith("  formation within 5 % after 0.0 s, closest 1.000 m (1-2), ")
+    early = [each for each in sent if each[0] < EPOCH_NS + 800_000_000]
+    cut = said(RunResult(recorded(pair, early, interrupted=True)), tmp_path, capsys)
+    assert cut[-2].startswith("  of the first 0.8 s of 2 s: formation within 5 % ")
+    one = [each for each in early if getattr(each[2], "robot", 1) == 1]
+    cut = said(RunResult(recorded(pair, one, interrupted=True)), tmp_path, capsys)
+    assert cut[-2].startswith("  of the first 0.8 s of 2 s and 1 of 2 robots: formation ")
+
+
+def test_where_no_drive_was_there_are_no_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ctrl-C while processes start: robots were where they were put, however near each other that is."""
+    pair = make_fleet([(0, 0), (3, 0)], [(1, 2)])
+    ways = [body(standing(x, 0), 0.1) for x in (0, 2)]
+    sent = [each for each in messages(pair, ways, state="waiting") if type(each[2]) is not Mission]
+    told = said(RunResult(recorded(pair, sent, interrupted=True)), tmp_path, capsys)
+    assert told[:2] == [
+        "FAILED",
+        "  No mission was recorded: the fleet was never told to start, so it did not drive.",
+    ]
+    assert not any("closest" in line or "had not settled" in line for line in told), told
+    before = [
+        (
+            EPOCH_NS - 1,
+            key,
+            message._replace(time_ns=EPOCH_NS - 1) if type(message) is PlantState else message,
+        )
+        for _, key, message in messages(pair, in_formation(pair))
+    ]
+    told = said(RunResult(recorded(pair, before[:8], interrupted=True)), tmp_path, capsys)
+    assert not any("closest" in line for line in told), "its mission was to begin a moment later"

@@ -61,6 +61,11 @@ def test_who_stands_after_a_stop_may_begin_if_its_body_could_drive():
 
 
 def test_of_many_who_wait_for_different_things_the_first_few_are_named():
+    found = in_words({robot: f"its body is {'x' * robot}" for robot in range(1, 101)})
+    assert found.startswith("robot 1: its body is x; robot 2: ")
+    assert found.endswith("; robot 8: its body is xxxxxxxx; and 92 more robots")
+
+
+def test_many_who_wait_for_others_that_differ_in_their_numbers_alone_are_one():
     found = in_words({robot: f"silent neighbours: robot {robot + 1}" for robot in range(1, 101)})
-    assert found.startswith("robot 1: silent neighbours: robot 2; robot 2: ")
-    assert found.endswith("; robot 8: silent neighbours: robot 9; and 92 more robots")
+    assert found == "100 robots (1-100): silent neighbours: 100 robots (2-101)"

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
+from agent.formation.geometry import resolved
+from deploy.analysis.lattice import lattice
+from deploy.check.capacity import Machine, cost_of, used
 from deploy.console.data_files import FLEETS
 from deploy.processes import machine
-from deploy.processes.machine import measured, overload_here
+from deploy.processes.machine import LOOKS, ROUND_S, WINDOWS, measured, measured_for, overload_here
 
 
 def test_it_is_measured_on_the_processors_that_may_be_used_and_leaves_them_as_they_were() -> None:
@@ -26,6 +29,37 @@ def test_one_processor_is_measured_alone(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
     monkeypatch.delattr(os, "sched_setaffinity")
     assert measured().cores == 1.0
+
+
+def test_the_fastest_window_counts_of_a_machine_that_others_slow_down(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Windows of an idle machine with other tenants: 0.6 times as fast as one before, for a while."""
+    slow = iter([1.6, 1.0, 1.7, 1.6, 1.05, 1.6] * WINDOWS)
+    monkeypatch.setattr(machine, "_took_s", lambda *_: ROUND_S * next(slow))
+    assert measured().speed == 1.0
+
+
+def looks(monkeypatch: pytest.MonkeyPatch, *speeds: float) -> list[float]:
+    """Has the machine be measured as so fast, one after the other; what was waited between."""
+    measures, waited = iter(speeds), list[float]()
+    monkeypatch.setattr(machine, "measured", lambda: Machine(2.0, next(measures)))
+    monkeypatch.setattr(machine.time, "sleep", waited.append)
+    return waited
+
+
+def test_a_machine_that_is_slow_for_a_second_is_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    fleet = resolved(parse_fleet(lattice("many", 45, rate_hz=10.0), source="many"))
+    enough = used(cost_of(fleet), Machine(2.0, 1.0)) / 0.65 + 0.01
+    waited = looks(monkeypatch, enough, 9.0)
+    assert measured_for(fleet).speed == enough
+    assert waited == [], "a fleet that is carried is not kept waiting"
+    waited = looks(monkeypatch, 0.6 * enough, enough, 9.0)
+    assert measured_for(fleet).speed == enough
+    assert len(waited) == 1
+    waited = looks(monkeypatch, *[0.6 * enough, 0.7 * enough, 0.5 * enough][:LOOKS], 9.0)
+    assert measured_for(fleet).speed == 0.7 * enough
+    assert overload_here(fleet) == "", "the last is fast"
 
 
 def test_a_small_fleet_costs_no_look_at_it(monkeypatch: pytest.MonkeyPatch) -> None:

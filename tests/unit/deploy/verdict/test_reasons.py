@@ -13,7 +13,6 @@ from agent.fleet.orders import OrderSection
 from agent.fleet.safety import AvoidanceSection
 from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop
-from deploy.console.wording import robots
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import NAME, PAIR, body, driven, judged, recorded, status, with_statuses
 from tests.unit.deploy.synthetic_run import (
@@ -187,12 +186,6 @@ def test_a_fleet_that_never_started() -> None:
     assert reasons[0] == "No mission was recorded: the fleet was never told to start, so it did not drive."
 
 
-def test_names_of_robots_read_as_text() -> None:
-    assert robots([3]) == "robot 3"
-    assert robots([1, 2, 5]) == "robots 1, 2 and 5"
-    assert robots(range(1, 13)) == "robots 1, 2, 3, 4, 5, 6, 7, 8 and 4 more"
-
-
 def taken(*periods: tuple[float, float]) -> dict[str, Any]:
     """A perfect run in which the statuses of robot 2 say `released` in these periods, s."""
 
@@ -311,20 +304,26 @@ def crowd(reasons: Sequence[str], skipped: int = 0) -> list[str]:
 
 
 def test_of_many_that_wait_for_many_things_it_is_said_once() -> None:
-    sentence = (
-        "Robots 1, 2, 3, 4, 5, 6, 7, 8 and 2 more ended the drive in state waiting: they did not drive "
-    )
-    found = crowd([f"for robot {robot + 1}" for robot in range(1, 11)])
-    assert found[0] == f"{sentence}(robot 1: for robot 2; the others for 9 other reasons)."
-    assert len(crowd([f"for robot {robot + 1}" for robot in range(1, 9)])) > len(found)
+    sentence = "10 robots (1-10) ended the drive in state waiting: they did not drive "
+    found = crowd([f"for its {'x' * robot}" for robot in range(1, 11)])
+    assert found[0] == f"{sentence}(robot 1: for its x; the others for 9 other reasons)."
+    assert len(crowd([f"for its {'x' * robot}" for robot in range(1, 9)])) > len(found)
     (same,) = (each for each in crowd(["for its plant"] * 10) if "waiting" in each)
     assert same == f"{sentence}(for its plant)."
 
 
+def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
+    found = crowd([f"this machine ran late by 0.{robot} s, as did robot {robot}" for robot in range(1, 10)])
+    assert found[0] == (
+        "9 robots (1-9) ended the drive in state waiting: they did not drive (this machine ran late by 0.1 "
+        "to 0.9 s, as did 9 robots (1-9))."
+    )
+
+
 def test_a_machine_that_was_too_slow_for_most_is_named_before_the_many_things_that_failed() -> None:
-    found = crowd([f"for robot {robot + 1}" for robot in range(1, 6)], skipped=50)
+    found = crowd([f"for its {'x' * robot}" for robot in range(1, 6)], skipped=50)
     assert found[0] == (
         "The machine was too slow: 5 of 5 robots skipped many ticks. What follows may come of that alone; "
         "`handfast check` says how many robots a machine carries at which rate."
     )
-    assert not any("too slow" in each for each in crowd([f"for robot {k}" for k in range(1, 6)]))
+    assert not any("too slow" in each for each in crowd([f"for its {'x' * k}" for k in range(1, 6)]))
