@@ -167,6 +167,13 @@ class ConstraintAssembly:
             other_acceleration=pushed,
             rank=_rank(doubt, follows=message.following),
         )
+        if late and plane.rank == safety_filter.SEPARATION and not peer.deaf:
+            # (F12): where it is by now is a guess, and it keeps away by itself. What braking gives can be met
+            # with all that is known, (F4), and is asked with it; what would drive this robot off, after it.
+            brakes = only_braking(plane, own, 1.0 / self._barrier_rate)
+            if brakes.least < plane.least:
+                scene.planes.append(plane._replace(rank=safety_filter.UNSURE))
+                plane = brakes
         scene.planes.append(plane)
 
     def _keep_from_belief(self, scene: Scene, peer: Peer) -> None:
@@ -266,7 +273,10 @@ def _rank(doubt: float, *, follows: bool) -> int:
     return safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
 
 
-def only_braking(plane: safety_filter.HalfPlane, own: hand.Hand) -> safety_filter.HalfPlane:
-    """The half plane, as far as it brakes the own hand: it does not drive it back."""
+def only_braking(
+    plane: safety_filter.HalfPlane, own: hand.Hand, stop_s: float = STOP_S
+) -> safety_filter.HalfPlane:
+    """The half plane, as far as it brakes the own hand, no harder than this makes it stand (s): it does not
+    drive it back."""
     closing = plane.nx * own.vx + plane.ny * own.vy
-    return plane._replace(least=min(plane.least, -closing / STOP_S))
+    return plane._replace(least=min(plane.least, -closing / stop_s))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from agent.control.constraint_assembly import ConstraintAssembly, Scene
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX, stood_on
-from agent.control.safety_filter import SEPARATION, STANDING, UNSURE
+from agent.control.safety_distances import barrier_rate
+from agent.control.safety_filter import SEPARATION, STANDING, UNSURE, project
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve
 from agent.messages.types import HandState
@@ -23,15 +26,26 @@ formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 9]], safe_distanc
 
 
 class Robot:
-    """Robot 1, its hand in (0.1, 0), which has heard robot 3 at `T0`, `away` m ahead."""
+    """Robot 1, its hand in (0.1, 0), which has heard robot 3 at `T0`, `away` m ahead, and coming so fast."""
 
-    def __init__(self, away: float, *, follows: bool = True, doubt: float = 0.0) -> None:
-        fleet = parse_fleet(FLEET, source="here")
+    def __init__(
+        self,
+        away: float,
+        *,
+        follows: bool = True,
+        doubt: float = 0.0,
+        coming: float = 0.0,
+        deaf: bool = False,
+        text: str = FLEET,
+    ) -> None:
+        fleet = parse_fleet(text, source="here")
+        self.barrier_rate = barrier_rate(fleet)
         self.controller = Controller(fleet, resolve(fleet), 1)
         self.controller.look(T0)
         self.peers, self.proximity = self.controller.peers, self.controller.proximity
-        state = HandState(3, 0, T0, follows, 2, 0.1 + away, *[0.0] * 9, doubt, (), ())
+        state = HandState(3, 0, T0, follows, 2, 0.1 + away, 0.0, -coming, *[0.0] * 7, doubt, (), ())
         assert self.peers.accept(state, T0 + fleet.period_ns) is None
+        self.peers.get(3).deaf = deaf
         self.assembly = ConstraintAssembly(fleet, self.peers, self.proximity, self.controller.right_of_way)
 
     def scene(self, now_ns: int, speed: float = 0.0) -> Scene:
@@ -72,3 +86,55 @@ def test_beside_the_way_of_a_silent_robot_it_may_drive_off_it_however_long_that_
     assert [each[:3] for each in scene.within] == [(1.0, pytest.approx(0.0), "robot 3")]
     assert (not scene.stops) is let
     assert all(plane.least <= 0.0 for plane in scene.planes) is let
+
+
+LATE_NS = S // 2
+BESIDE_A_POLE = (
+    FLEET.replace("[0, 9]", "[-3, 0]")
+    + """
+[[obstacle]]
+centre_m = [-0.2, 0.0]
+radius_m = 0.15
+"""
+)
+"""Robot 1 is as near to the pole as it may be: clearance and margin, 0.10 and 0.05 m. The place of robot 3 is
+on the other side of both."""
+
+
+def late(**more: Any) -> Robot:
+    """It comes at robot 1, its messages always take `LATE_NS`, and so it is heard."""
+    robot = Robot(0.4, coming=0.3, text=BESIDE_A_POLE, **more)
+    robot.peers.get(3).lateness.forgiven_ns = LATE_NS
+    return robot
+
+
+@pytest.mark.parametrize(
+    ("more", "ranks"),
+    [
+        ({}, [UNSURE, SEPARATION]),
+        ({"deaf": True}, [SEPARATION]),
+        ({"follows": False}, [STANDING]),
+        ({"doubt": DOUBT_MAX}, [UNSURE]),
+    ],
+)
+def test_of_one_that_is_known_late_only_braking_is_asked_with_what_is_known(
+    more: dict[str, bool | float], ranks: list[int]
+) -> None:
+    """But the whole of one that does not keep away by itself."""
+    speed = 0.1
+    robot = late(**more)
+    planes = [each for each in robot.scene(T0 + LATE_NS, speed).planes if each.cause == "robot 3"]
+    assert [each.rank for each in planes] == ranks
+    brakes = robot.barrier_rate * speed
+    assert planes[0].least > brakes + 0.1
+    assert [each.least for each in planes[1:]] == [pytest.approx(brakes)] * (len(ranks) - 1)
+
+
+def test_one_that_is_known_late_does_not_press_it_against_an_obstacle() -> None:
+    scene = late().scene(T0 + LATE_NS)
+    (pole,) = (each for each in scene.planes if each.cause == "obstacle 1")
+    assert pole.least == pytest.approx(0.0)
+    u = project(0.0, 0.0, scene.planes, 5.0)
+    assert u.causes == ("robot 3", "obstacle 1")
+    assert u.violation > 0.1
+    assert pole.nx * u.ux + pole.ny * u.uy == pytest.approx(0.0, abs=1e-6)
