@@ -16,17 +16,24 @@ PIP_INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check
 LOCKED := $(PIP_INSTALL) --require-hashes --only-binary :all:
 PROJECT := $(PIP_INSTALL) --no-deps --no-build-isolation --no-index --editable .
 
+# The same with what runs in every tick as C; built of a copy, which the compiler leaves its files in.
+COMPILED := .venv-compiled
+COMPILED_BUILD := build/compiled
+SOURCES := $(shell find agent plant bridges deploy handfast.py -type f ! -name '*.pyc')
+# No fused multiply-add: all forms give the same numbers, to the bit.
+COMPILED_CFLAGS := -ffp-contract=off -g0
+
 DEMO_OUT ?= runs/demo
-QUICK := not process and not slow and not autopilot
-REST := not process$(if $(CHECKED), and (slow or autopilot))
+QUICK := not process and not slow and not autopilot and not compiled
+REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
 # Tests that start processes mostly wait; those of one module share what it has set up.
 WAITING := -n 3 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(JUNIT)/$(1).xml)
 
-.PHONY: help demo test check lint format bench docs lock setup clean FORCE
+.PHONY: help demo test test-compiled check lint format bench docs lock setup compiled clean FORCE
 
 help: ## show this list
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | \
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | \
 	  while IFS='|' read -r name text; do printf '%-14s %s\n' "$$name" "$$text"; done
 
 demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves its report in runs/demo
@@ -39,6 +46,9 @@ test: $(VENV)/.dev ## all tests: those that compute, those that start processes,
 	$(PY) -m pytest -n 2 -m '$(REST)' $(call junit,computing)
 	$(PY) -m pytest $(WAITING) -m 'process and not alone' $(call junit,processes)
 	$(PY) -m pytest -m 'process and alone' $(call junit,alone)
+
+test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same bytes as the Python it is made of
+	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)
 
 check: lint ## the quick loop: lint, then the fast tests
 	$(PY) -m pytest -n 2 -m '$(QUICK)' $(call junit,quick)
@@ -66,7 +76,7 @@ UV_COMPILE = $(VENV)/bin/uv pip compile --quiet --universal --python-version 3.1
 	--generate-hashes --no-build --no-annotate --no-emit-index-url --no-emit-find-links \
 	--custom-compile-command 'make lock' pyproject.toml
 lock: $(VENV)/.dev ## write requirements/*.txt again (UPGRADE=1: newest versions)
-	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) --all-extras --group pyproject.toml:build --group pyproject.toml:bundle -o requirements/lock.txt
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) --all-extras --group pyproject.toml:build --group pyproject.toml:bundle --group pyproject.toml:compiled -o requirements/lock.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra operator --group pyproject.toml:build -o requirements/operator.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover -o requirements/rover.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover --extra security --group pyproject.toml:bundle -o deploy/data/robot_requirements.txt
@@ -74,8 +84,10 @@ lock: $(VENV)/.dev ## write requirements/*.txt again (UPGRADE=1: newest versions
 
 setup: $(VENV)/.dev ## make .venv with everything a developer needs
 
+compiled: $(COMPILED)/.built ## make .venv-compiled, whose handfast takes less of the processor (needs a C compiler)
+
 clean: ## remove .venv, caches and builds; keeps runs/
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(COMPILED) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find agent plant bridges deploy tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # --- set-up -----------------------------------------------------------------------------------
@@ -112,3 +124,20 @@ $(VENV)/.dev: $(VENV)/.made requirements/lock.txt requirements/operator.txt pypr
 	@$(LOCKED) -r requirements/lock.txt
 	@$(PROJECT)
 	@touch $(VENV)/.operator $@
+
+CAN_COMPILE := import os, shutil, sys, sysconfig as s; sys.exit(not (shutil.which(os.environ.get("CC") or s.get_config_var("CC").split()[0]) and os.path.exists(s.get_path("include") + "/Python.h")))
+
+$(COMPILED)/.built: $(VENV)/.dev $(SOURCES)
+	@if ! $(PY) -c '$(CAN_COMPILE)'; then \
+	  echo "a C compiler and Python's headers are needed (Debian, Ubuntu: apt install gcc libc6-dev python3-dev)" >&2; exit 1; \
+	fi
+	@echo 'compiling, which takes some two minutes'
+	@rm -rf $(COMPILED_BUILD) && mkdir -p $(COMPILED_BUILD)
+	@cp -RP agent plant bridges deploy handfast.py handfast-stubs pyproject.toml README.md LICENSE $(COMPILED_BUILD)
+	@CFLAGS='$(COMPILED_CFLAGS)' HATCH_BUILD_HOOKS_ENABLE=1 $(PY) -m pip wheel --quiet --disable-pip-version-check \
+	  --no-deps --no-build-isolation --no-index --wheel-dir $(COMPILED_BUILD) $(COMPILED_BUILD)
+	@echo 'making $(COMPILED)'
+	@$(PY) -m venv --clear $(COMPILED)
+	@$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --only-binary :all: -r requirements/operator.txt
+	@$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index $(COMPILED_BUILD)/*.whl
+	@touch $@

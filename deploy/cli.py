@@ -220,9 +220,10 @@ class _Version(argparse.Action):
     """Prints the version and ends; finding it takes a while, so only where it is asked for."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        from agent.common.compiled import FORM
         from agent.runtime.version import handfast_version
 
-        print(f"handfast {handfast_version()}")
+        print(f"handfast {handfast_version()} ({FORM})")
         parser.exit()
 
 

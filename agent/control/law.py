@@ -179,8 +179,7 @@ def acting_error(error: Vector, place_velocity: Vector, c1: float, c2: float, mo
 
     -c_1 e - c_2 edot drives the robot's velocity to v_d - (c_1/c_2) e: that is cut to the circle of `most`,
     or of what reaches a place that drives as fast itself. So c_1 times what acts is the gradient of a convex
-    function of e, whatever the place's velocity v_d. `error` itself, and no copy, near the place, where (21)
-    holds.
+    function of e, whatever the place's velocity v_d. Equal to `error` near the place, where (21) holds.
     """
     x, y = error
     vx, vy = place_velocity

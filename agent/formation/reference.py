@@ -99,6 +99,7 @@ class Reference:
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
         self.plan: Plan | None = None
+        self._made_of = fleet, geometry
         self._file = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry)
         self._segments = [_Segment(self._file, 0, 0)]
         self._instants: dict[int, _Instant] = {}
@@ -126,9 +127,8 @@ class Reference:
 
     def frozen(self) -> Reference:
         """The reference as it is now, whatever missions come."""
-        copy = Reference.__new__(Reference)
-        copy.plan, copy._file = self.plan, self._file
-        copy._segments, copy._instants = self._segments, {}
+        copy = Reference(*self._made_of)
+        copy.plan, copy._segments = self.plan, self._segments
         return copy
 
     def way(self, robot: int, since_ns: int) -> list[Vector]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from math import floor
 from typing import Final, NamedTuple
 
+from agent.common.compiled import COMPILED
 from agent.control.safety_distances import barrier_rate, speed_max
 from agent.fleet.model import Fleet
 from deploy.check.check import check
@@ -30,7 +31,9 @@ RECORDED_S: Final = 70e-6
 its status, keeps its links alive), for a round of its loop, so much more where it says what it says to each
 of the others, and for a message that it hears; of a plant for a round; of a router for a message that it
 passes on; of `run` for one that it records."""
-FULL: Final = 0.65
+AGENT_COMPILED: Final = 0.73
+"""What an agent takes that is compiled (`make compiled`) of what it takes as Python."""
+FULL: Final = 0.7
 """So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
 takes more than driving. What is nearly as much slows down at times (`agent.supervision.overload`)."""
 SPREAD: Final = 1.15
@@ -87,8 +90,9 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
     recorded = count * (3.0 * rate + rate / fleet.beacon_rounds_max + STATUS_HZ)
     routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
     tick_s = AGENT_TICK_S + (0.0 if fleet.is_routed else MESH_TICK_S)
+    agent_s = AGENT_S + tick_s * rate + AGENT_MESSAGE_S * heard
     return Cost(
-        AGENT_S + tick_s * rate + AGENT_MESSAGE_S * heard,
+        AGENT_COMPILED * agent_s if COMPILED else agent_s,
         PLANT_TICK_S * rate,
         ROUTER_MESSAGE_S * routed,
         RECORDED_S * recorded,

@@ -106,7 +106,7 @@ def following(
     ex, ey, edot_x, edot_y = message.x - x0, message.y - y0, message.vx - vx0, message.vy - vy0
     if most is not None:
         acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
-        if acting is not error:
+        if acting != error:
             return _approaching(message, then, error, (edot_x, edot_y), age, c1, c2, decay, acting)
     force_x, force_y = fx + gx, fy + gy
     new_x, new_y = a11 * ex + a12 * edot_x + b1 * force_x, a11 * ey + a12 * edot_y + b1 * force_y

@@ -10,7 +10,9 @@ from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.analysis.lattice import lattice
+from deploy.check import capacity
 from deploy.check.capacity import (
+    AGENT_COMPILED,
     FULL,
     ROBOTS_MIN,
     ROOMY,
@@ -56,6 +58,13 @@ def test_a_robot_costs_more_where_it_hears_more() -> None:
     small = cost_of(fleet(24))
     assert small.routers == 0.0, "a mesh has none"
     assert small.whole == pytest.approx(24 * (small.agent + small.plant) + small.run)
+
+
+def test_a_machine_carries_more_robots_that_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    python, many = cost_of(fleet(24)), carried(fleet(100), LAPTOP)
+    monkeypatch.setattr(capacity, "COMPILED", True)
+    assert cost_of(fleet(24)) == python._replace(agent=AGENT_COMPILED * python.agent)
+    assert carried(fleet(100), LAPTOP) > 1.1 * many
 
 
 def test_small_fleets_are_never_too_many() -> None:

@@ -11,7 +11,7 @@ import pytest
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.formation.geometry import resolved
 from deploy.analysis.lattice import lattice
-from deploy.check.capacity import Machine, cost_of, used
+from deploy.check.capacity import FULL, Machine, cost_of, used
 from deploy.console.data_files import FLEETS
 from deploy.processes import machine
 from deploy.processes.machine import LOOKS, ROUND_S, WINDOWS, measured, measured_for, overload_here
@@ -50,7 +50,7 @@ def looks(monkeypatch: pytest.MonkeyPatch, *speeds: float) -> list[float]:
 
 def test_a_machine_that_is_slow_for_a_second_is_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
     fleet = resolved(parse_fleet(lattice("many", 45, rate_hz=10.0), source="many"))
-    enough = used(cost_of(fleet), Machine(2.0, 1.0)) / 0.65 + 0.01
+    enough = used(cost_of(fleet), Machine(2.0, 1.0)) / FULL + 0.01
     waited = looks(monkeypatch, enough, 9.0)
     assert measured_for(fleet).speed == enough
     assert waited == [], "a fleet that is carried is not kept waiting"
