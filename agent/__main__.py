@@ -9,7 +9,8 @@ from agent.common.time import Clock
 from agent.core import Agent
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
-from agent.runtime.process import Log, Start
+from agent.runtime.loop import Log
+from agent.runtime.process import Start
 from agent.runtime.process import main as process_main
 
 

@@ -1,7 +1,7 @@
 """One robot's agent, without clock, socket, thread or randomness of its own.
 
 `Agent.receive` takes what came off the bus, `Agent.tick` says what to put on it. A process
-(`agent.runtime.process`) and the virtual-time simulation drive the same object with the same bytes.
+(`agent.runtime.loop`) and the virtual-time simulation drive the same object with the same bytes.
 Here is the order of things; what they are is in the rooms below.
 """
 

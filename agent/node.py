@@ -1,7 +1,7 @@
 """The contract between the sans-IO core of a process on the bus and whatever drives it.
 
 Two cores fulfil it, `agent.core.Agent` and `plant.node.PlantNode`; two drivers use it,
-`agent.runtime.process.loop` (real time, Zenoh) and `deploy.simulate.simulation` (virtual time).
+`agent.runtime.loop.loop` (real time, Zenoh) and `deploy.simulate.simulation` (virtual time).
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ from agent.common.time import Clock
 from agent.fleet import plants
 from agent.fleet.model import Fleet
 from agent.messages.types import FLOAT_MAX
-from agent.runtime.process import Log, StartError
+from agent.runtime.loop import Log
+from agent.runtime.process import StartError
 from plant.backend import Begin, Place, PlantBackend
 from plant.pose_file import PersistentBody, PoseFile, PoseFileError
 from plant.server import main as serve

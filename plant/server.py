@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 
 from agent.common.time import Clock
 from agent.fleet.model import Fleet
-from agent.runtime.process import Log, Start
+from agent.runtime.loop import Log
+from agent.runtime.process import Start
 from agent.runtime.process import main as process_main
 from plant.backend import PlantBackend
 from plant.node import PlantNode

@@ -25,7 +25,8 @@ from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
-from agent.runtime.process import Shutdown, logger
+from agent.runtime.loop import Shutdown
+from agent.runtime.process import logger
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.private_files import KeyFileError, read, write
 from agent.security.refusals import Refusals

@@ -28,14 +28,8 @@ from agent.recorder.writer_thread import RecorderThread
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
-from agent.runtime.process import (
-    Log,
-    Shutdown,
-    StartError,
-    logger,
-    open_bus,
-    robot_arguments,
-)
+from agent.runtime.loop import Log, Shutdown
+from agent.runtime.process import StartError, logger, open_bus, robot_arguments
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.runtime.version import handfast_version
 from agent.security.identity import of_robot

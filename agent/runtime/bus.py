@@ -73,7 +73,7 @@ _SESSIONS: Final[list[Any]] = []
 """All that are open in this process: a link is one of one of them."""
 
 
-class BusError(Error, RuntimeError):
+class BusError(Error):
     """The bus cannot be opened; the text says which endpoint and why."""
 
 

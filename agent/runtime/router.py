@@ -24,7 +24,7 @@ from agent.messages.key_expressions import alive, robot_of_alive
 from agent.runtime.bus import BusError, Router, init_log
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.listening_gate import Gate
-from agent.runtime.process import DIALLED, Log, Shutdown
+from agent.runtime.loop import DIALLED, Log, Shutdown
 from agent.runtime.sealed_bus import secured
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.runtime.zenoh_log import ZenohLog

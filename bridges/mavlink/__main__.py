@@ -15,7 +15,8 @@ from typing import Final
 from agent.common.time import Clock
 from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from agent.fleet.model import Fleet
-from agent.runtime.process import Log, StartError
+from agent.runtime.loop import Log
+from agent.runtime.process import StartError
 from bridges.mavlink.session.signing import SigningError, open_signing
 from bridges.mavlink.transport.transport import open_transport
 from plant.backend import PlantBackend

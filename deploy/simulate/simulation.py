@@ -1,6 +1,6 @@
 """A fleet in virtual time: the same agents and plants, the same bytes, one process, no waiting.
 
-What `agent.runtime.process.loop` does in real time happens here in the order of the ticks' times, and so
+What `agent.runtime.loop.loop` does in real time happens here in the order of the ticks' times, and so
 does what rules do to processes, clocks and ticks. A message is there `LATENCY_NS` after it was published,
 about what a loopback link takes; the same fleet file and seed give the same bytes.
 
@@ -189,7 +189,7 @@ class _Host:
         return any(_matches(each, token) for each in self.node.watched)
 
     def tick(self, true_ns: int) -> list[Outgoing]:
-        """One round of `agent.runtime.process.loop`."""
+        """One round of `agent.runtime.loop.loop`."""
         node, ticks = self.node, self._ticks
         self.ticked_ns = true_ns
         now_ns, missed, late_ns = ticks.take(self._local.local_ns(true_ns))

@@ -32,6 +32,18 @@ def test_every_message_of_simulated_drives_is_the_same_to_the_bit() -> None:
     assert len(compiled.splitlines()) > 20
 
 
+def test_every_module_comes_up() -> None:
+    """A class that is left as Python cannot be made of one that is compiled."""
+    names = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for package in ("agent", "plant", "bridges", "deploy")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        if path.name not in ("__init__.py", "__main__.py")
+    ]
+    assert len(names) > 200
+    said(COMPILED / "python", "-P", "-W", "error", "-c", f"import {', '.join(names)}")
+
+
 def test_the_command_says_which_form_it_is() -> None:
     assert said(COMPILED / "handfast", "--version").endswith("(compiled)\n")
     assert said(ROOT / ".venv" / "bin" / "handfast", "--version").endswith("(pure Python)\n")

@@ -10,7 +10,7 @@ from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
-from agent.runtime.process import Log
+from agent.runtime.loop import Log
 from agent.supervision.state_machine import at_rest
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits

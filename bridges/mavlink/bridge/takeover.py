@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from agent.common.time import NS_PER_S
-from agent.runtime.process import Log
+from agent.runtime.loop import Log
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.session import Session

@@ -13,7 +13,7 @@ from typing import Final
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S, Clock
 from agent.runtime.clock import RealClock
-from agent.runtime.process import LOOK_PERIOD_NS, Shutdown
+from agent.runtime.loop import LOOK_PERIOD_NS, Shutdown
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import (

@@ -15,7 +15,8 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.node import Node
 from agent.runtime.bus import Bus
-from agent.runtime.process import ROUTER_PAUSE_NS, OrderKeeper, Shutdown, look_at_links, loop, names_of
+from agent.runtime.loop import ROUTER_PAUSE_NS, OrderKeeper, Shutdown, look_at_links, loop
+from agent.runtime.process import names_of
 from agent.runtime.systemd_notify import SystemdNotifier
 from plant.node import PlantNode
 from plant.unicycle import from_fleet

@@ -1,0 +1,220 @@
+"""The fixed-rate loop of a process round a sans-IO core, and when it is asked to end."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from agent.common.time import NS_PER_S, Clock
+from agent.common.wording import printable
+from agent.links.ticks import Ticks
+from agent.messages import key_expressions
+from agent.messages.codec import decode, head
+from agent.messages.types import Stop
+from agent.node import TOLD_SHARE, Node
+from agent.runtime.bus import Bus
+from agent.runtime.listening_gate import Gate
+from agent.runtime.order_store import OrderStore
+from agent.runtime.presence import Watches
+from agent.runtime.systemd_notify import SystemdNotifier
+
+END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
+"""A process that was asked to end has this long to bring its robot to a standstill."""
+_STOP: Final = head(Stop)
+STALL_NS: Final = NS_PER_S // 10
+SETTLE_NS: Final = NS_PER_S // 500
+"""A process that has stood for longer than the first takes what came meanwhile the second later."""
+GATE_PERIOD_NS: Final = NS_PER_S // 5
+"""How often is looked for who knocks, ns."""
+LOOK_PERIOD_NS: Final = 2 * NS_PER_S // 5
+"""How often is looked for the parent process, and for links over which nothing comes, ns."""
+SAY_PERIOD_NS: Final = NS_PER_S
+"""How often systemd hears of another reason for the same state, at most: some have a time in them, ns."""
+
+DIALLED: Final = "one that had connected to it"
+
+A_ROUTER: Final = "the router at "
+ROUTER_PAUSE_NS: Final = 10 * NS_PER_S
+"""The link to a router is not opened anew more often, whoever behind it is not heard: others are."""
+
+Log = Callable[[str], None]
+
+
+class Shutdown:
+    """Whether the process was asked to end: by SIGTERM, SIGINT or SIGHUP (unless that is ignored, as nohup(1)
+    has it), or because its parent is gone.
+
+    A signal handler only sets a flag: Zenoh must be closed by the main thread.
+    """
+
+    def __init__(self, *, with_parent: bool) -> None:
+        self.asked = False
+        self.why = ""
+        self._parent = os.getppid() if with_parent else 0
+        ignores_hangup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        for number in (signal.SIGTERM, signal.SIGINT, *([] if ignores_hangup else [signal.SIGHUP])):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self.asked, self.why = True, signal.Signals(number).name
+        self.look_for_parent()  # its end may be why the kernel sent it
+
+    def look_for_parent(self) -> None:
+        """Asks the process to end when its parent is gone, if it is to end with it."""
+        if self._parent and os.getppid() != self._parent:
+            self.asked, self.why = True, "the process that started it is gone"
+
+
+class OrderKeeper:
+    """Has `node`'s lasting orders kept in `store`, and gives it what others lay there.
+
+    Args:
+        fleet: its name.
+    """
+
+    def __init__(self, node: Node, bus: Bus, store: OrderStore, fleet: str, log: Log) -> None:
+        self._node, self._bus, self._store, self._log = node, bus, store, log
+        self._key_stop = key_expressions.stop(fleet)
+        self._wanted: tuple[bytes, ...] = ()
+        self._is_kept = True
+
+    def recall(self, now_ns: int) -> None:
+        """Gives `node` what was kept when the process ran last, before its first tick."""
+        self._node.recall(now_ns, self._opened(self._store.read()))
+
+    def look(self, now_ns: int) -> None:
+        """Before a tick: takes a stop that was laid there. After it a process that has too little of the
+        machine would brake by it a tick later, which may be a second."""
+        laid = self._store.stops(now_ns)
+        if laid:
+            for order in self._opened(laid):
+                if order.startswith(_STOP):
+                    self._node.receive(now_ns, self._key_stop, order)
+
+    def step(self) -> None:
+        """After a tick: has kept what is new, and says what is."""
+        node, store = self._node, self._store
+        if node.lasting is not self._wanted:
+            self._wanted, self._is_kept = node.lasting, False
+            store.keep(self._wanted, [came for each in self._wanted if (came := self._bus.as_it_came(each))])
+        if not self._is_kept and (done := store.done()) is not None:
+            orders, trouble = done
+            self._is_kept = orders is self._wanted and not trouble
+            node.kept(orders, trouble)
+
+    def _opened(self, kept: Sequence[bytes]) -> list[bytes]:
+        """The orders in what was kept; what is none any more is left out, and said."""
+        orders = []
+        for each in kept:
+            try:
+                order = self._bus.opened(each)
+                decode(order)  # it may be of another version of this program
+                orders.append(order)
+            except ValueError as error:
+                self._log(f"an order that was kept is not taken: {error}")
+        return orders
+
+
+def loop(
+    node: Node,
+    bus: Bus,
+    clock: Clock,
+    shutdown: Shutdown,
+    log: Log,
+    service: SystemdNotifier,
+    keeper: OrderKeeper | None = None,
+    gate: Gate | None = None,
+    names: Mapping[str, str] | None = None,
+) -> None:
+    """Ticks `node` at absolute deadlines (`agent.links.ticks.Ticks`) until it was asked to end and is done.
+
+    Wakes at the deadline, drains the bus, ticks, publishes. A tick gets the time of its
+    deadline, not of its waking; skipped ones are counted.
+
+    Args:
+        names: of whoever is at an endpoint.
+    """
+    ticks = Ticks(node, clock.now_ns())
+    end_by_ns: int | None = None
+    # Not in one tick: each of them touches much that has left the caches since it was looked at last.
+    gate_due_ns = ticks.due_ns
+    links_due_ns, parent_due_ns = gate_due_ns + GATE_PERIOD_NS // 2, gate_due_ns + 3 * GATE_PERIOD_NS // 2
+    say_due_ns = 0
+    said = "", ""
+    watches = Watches(bus)
+    heard: Sequence[str] = ()
+    has_epoch = False
+    while True:
+        if node.subscriptions is not heard:
+            heard = node.subscriptions
+            bus.listen(heard)
+        clock.sleep_until(ticks.due_ns)
+        start_ns = clock.now_ns()
+        if start_ns - ticks.due_ns > STALL_NS:
+            # What others sent meanwhile is here, but Zenoh's thread has not run either.
+            clock.sleep_until(start_ns + SETTLE_NS)
+            start_ns = clock.now_ns()
+        # Before the clock is read: nothing is from the future for a thread that was held up in between.
+        waiting = bus.drain()
+        now_ns, missed, late_ns = ticks.take(clock.now_ns())
+        if late_ns * TOLD_SHARE > node.period_ns:
+            node.late(now_ns, late_ns)
+        for key, here in watches.update(node.watched):
+            node.present(key, here)
+        for key, payload in waiting:
+            node.receive(now_ns, key, payload)
+        if shutdown.asked and end_by_ns is None:
+            log(f"ending ({shutdown.why})")
+            service.stopping()
+            node.end()
+            end_by_ns = now_ns + END_TIMEOUT_NS
+        if keeper is not None:
+            keeper.look(now_ns)
+        outgoing = node.tick(now_ns)
+        node.timed(clock.now_ns() - start_ns, missed)
+        for key, payload in outgoing:
+            bus.publish(key, payload)
+        if keeper is not None:
+            keeper.step()
+        condition = node.condition
+        if condition is not said and condition != said and (condition[0] != said[0] or now_ns >= say_due_ns):
+            text = f"{condition[0]}: {condition[1]}" if condition[1] else condition[0]
+            if condition[0] != said[0]:  # reasons alone may change often
+                log(printable(text))
+            service.says(text)
+            said, say_due_ns = condition, now_ns + SAY_PERIOD_NS
+        service.lives(start_ns)
+        if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
+            return
+        if now_ns >= gate_due_ns:
+            gate_due_ns = now_ns + GATE_PERIOD_NS
+            if gate is not None and (knocked := gate.look(now_ns)):
+                log(knocked)
+        if now_ns >= links_due_ns:
+            links_due_ns = now_ns + LOOK_PERIOD_NS
+            look_at_links(node, bus, now_ns, names or {}, log)
+        if now_ns >= parent_due_ns:
+            parent_due_ns = now_ns + LOOK_PERIOD_NS
+            shutdown.look_for_parent()
+        if not has_epoch and ticks.epoch_ns is not None:
+            has_epoch = True
+            clock.begin(ticks.epoch_ns)
+        ticks.plan(now_ns)
+
+
+def look_at_links(node: Node, bus: Bus, now_ns: int, names: Mapping[str, str], log: Log) -> None:
+    """Has links opened anew over which nothing comes, and says so."""
+    said = [f"was deaf to {names.get(each, each or DIALLED)}: link opened anew" for each in bus.were_deaf()]
+    deaf_to = node.deaf_to(now_ns)
+    if deaf_to:
+        endpoints = {name: endpoint for endpoint, name in names.items()}
+        routers = [endpoint for endpoint, name in names.items() if name.startswith(A_ROUTER)]
+        for name in (f"robot {robot}" for robot in deaf_to):
+            there = name in endpoints and bus.reopen(endpoints[name])
+            if there or any(bus.reopen(each, ROUTER_PAUSE_NS) for each in routers):
+                said.append(f"deaf to {name}: link opened anew")
+    for each in said:
+        log(each)
+        node.link_opened_anew(now_ns, each)
