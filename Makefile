@@ -26,9 +26,11 @@ COMPILED_CFLAGS := -ffp-contract=off -g0
 DEMO_OUT ?= runs/demo
 QUICK := not process and not slow and not autopilot and not compiled
 REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
+# What users add in Python must work with what is compiled, and who watches whom goes by it.
+ON_COMPILED := own_laws.py own_plants.py supervision.py
 # Tests that start processes mostly wait; those of one module share what it has set up.
 WAITING := -n 3 --dist loadfile --no-loadscope-reorder
-junit = $(if $(JUNIT),--junitxml=$(JUNIT)/$(1).xml)
+junit = $(if $(JUNIT),--junitxml=$(abspath $(JUNIT))/$(1).xml)
 
 .PHONY: help demo test test-compiled check lint format bench docs lock setup compiled clean FORCE
 
@@ -49,6 +51,9 @@ test: $(VENV)/.dev ## all tests: those that compute, those that start processes,
 
 test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same bytes as the Python it is made of
 	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)
+	@rm -rf $(COMPILED_BUILD)/tests && cp -RP tests $(COMPILED_BUILD)
+	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider \
+	  $(addprefix tests/process/test_,$(ON_COMPILED)) $(call junit,compiled-processes)
 
 check: lint ## the quick loop: lint, then the fast tests
 	$(PY) -m pytest -n 2 -m '$(QUICK)' $(call junit,quick)

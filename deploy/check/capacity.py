@@ -31,8 +31,10 @@ RECORDED_S: Final = 70e-6
 its status, keeps its links alive), for a round of its loop, so much more where it says what it says to each
 of the others, and for a message that it hears; of a plant for a round; of a router for a message that it
 passes on; of `run` for one that it records."""
-AGENT_COMPILED: Final = 0.73
-"""What an agent takes that is compiled (`make compiled`) of what it takes as Python."""
+AGENT_COMPILED: Final = 0.66
+PLANT_COMPILED: Final = 0.85
+RUN_COMPILED: Final = 0.87
+"""Of these, what each takes where it is compiled (`make compiled`)."""
 FULL: Final = 0.7
 """So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
 takes more than driving. What is nearly as much slows down at times (`agent.supervision.overload`)."""
@@ -90,13 +92,17 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
     recorded = count * (3.0 * rate + rate / fleet.beacon_rounds_max + STATUS_HZ)
     routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
     tick_s = AGENT_TICK_S + (0.0 if fleet.is_routed else MESH_TICK_S)
-    agent_s = AGENT_S + tick_s * rate + AGENT_MESSAGE_S * heard
-    return Cost(
-        AGENT_COMPILED * agent_s if COMPILED else agent_s,
+    cost = Cost(
+        AGENT_S + tick_s * rate + AGENT_MESSAGE_S * heard,
         PLANT_TICK_S * rate,
         ROUTER_MESSAGE_S * routed,
         RECORDED_S * recorded,
         count,
+    )
+    if not COMPILED:
+        return cost
+    return cost._replace(
+        agent=AGENT_COMPILED * cost.agent, plant=PLANT_COMPILED * cost.plant, run=RUN_COMPILED * cost.run
     )
 
 
