@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from math import hypot
+from math import hypot, inf
 from typing import Any, Final, NamedTuple
 
 from agent.common.time import NS_PER_MS, NS_PER_S
@@ -23,7 +23,7 @@ class SilentBody(NamedTuple):
 
     Attributes:
         robot: its number.
-        silent_s: for how long.
+        silent_s: for how long; None where nobody has heard it since the drive began.
         x, y, to_x, to_y: ends of the straight way on which its hand is believed to be, m (W).
         doubt_m: how far it may be to either side of that.
         told_by: the robots that do not hear it; empty where nobody says so.
@@ -31,7 +31,7 @@ class SilentBody(NamedTuple):
     """
 
     robot: int
-    silent_s: float
+    silent_s: float | None
     x: float
     y: float
     to_x: float
@@ -39,6 +39,11 @@ class SilentBody(NamedTuple):
     doubt_m: float
     told_by: tuple[int, ...]
     heard: bool
+
+    @property
+    def how_long(self) -> str:
+        """For how long it has not been heard, in words."""
+        return "since the drive began" if self.silent_s is None else f"for {self.silent_s:.0f} s"
 
     @property
     def where(self) -> str:
@@ -52,7 +57,7 @@ class SilentBody(NamedTuple):
         by = ""
         if self.told_by:
             by = f" (not by {robots(self.told_by)})"
-        return f"robot {self.robot} for {self.silent_s:.0f} s{by}, believed {self.where}"
+        return f"robot {self.robot} {self.how_long}{by}, believed {self.where}"
 
     @property
     def row(self) -> dict[str, Any]:
@@ -120,8 +125,10 @@ class SilentBodies:
         }
         found = []
         for robot in sorted({*deaf, *(told.keys() - heard), *(self._newest.keys() - heard)} - gone):
+            age_ns: int | None
             if robot in told:
                 age_ns, _, row = min(told[robot], key=lambda each: each[:2])
+                age_ns = age_ns if row.time_ns else None
                 way = row.x, row.y, row.to_x, row.to_y, row.doubt
             elif robot in self._newest:
                 own = self._newest[robot]
@@ -129,7 +136,8 @@ class SilentBodies:
             else:
                 continue  # it was never heard: nothing is known but what the fleet file says
             by = tuple(deaf.get(robot, ()))
-            found.append(SilentBody(robot, age_ns / NS_PER_S, *way, by, robot in heard))
+            silent_s = None if age_ns is None else age_ns / NS_PER_S
+            found.append(SilentBody(robot, silent_s, *way, by, robot in heard))
         return found
 
 
@@ -140,8 +148,9 @@ def in_words(bodies: Iterable[SilentBody], each_max: int = FEW) -> list[str]:
     unheard = [body for body in bodies if not body.heard]
     lines = [f"not heard: {body}" for body in unheard]
     if len(unheard) > each_max:
-        most_s = max(body.silent_s for body in unheard)
-        lines = [f"not heard: {robots([body.robot for body in unheard])} for up to {most_s:.0f} s"]
+        longest = max(unheard, key=lambda body: inf if body.silent_s is None else body.silent_s)
+        most = longest.how_long.replace("for ", "for up to ")
+        lines = [f"not heard: {robots([body.robot for body in unheard])} {most}"]
     partly = [body for body in bodies if body.heard]
     if partly:
         lines.append(f"not heard by all others: {robots([body.robot for body in partly])}")

@@ -122,12 +122,12 @@ def summary(picture: Picture) -> str:
 def _lags(picture: Picture) -> str:
     """Who lags, how far each is from its place, and what it says of that; of many only the numbers."""
     robots = {robot: picture.robots[robot] for robot in picture.lagging}
-    silent_s = {f"robot {body.robot}": body.silent_s for body in picture.silent}
+    silent = {f"robot {body.robot}": body.how_long for body in picture.silent}
 
     def why(about: RobotPicture) -> str:
         named = _LAST_NAME.search(about.reason)
-        since_s = silent_s.get(named[0]) if named else None
-        return about.reason + (f", silent for {since_s:.0f} s" if since_s is not None else "")
+        how_long = silent.get(named[0]) if named else None
+        return about.reason + (f", silent {how_long}" if how_long else "")
 
     if len(robots) > REASONS_MAX:
         most_m = max(about.off_m or 0.0 for about in robots.values())

@@ -269,7 +269,7 @@ def _silent_table(recording: Recording) -> str:
     rows = [
         (
             body.robot,
-            shown(body.silent_s),
+            body.how_long if body.silent_s is None else shown(body.silent_s),
             body.where,
             escape(robots(body.told_by)) if body.told_by else "&ndash;",
             "by the operator" if body.heard else "by nobody",

@@ -106,7 +106,7 @@ def _draw_body(axes: Axes, body: SilentBody, safe_m: float, label: str) -> None:
     axes.add_patch(Polygon(outline, facecolor="none", edgecolor=RED, hatch=HATCH, zorder=6.5, label=label))
     x, y = min((body.x, body.y), (body.to_x, body.to_y), key=itemgetter(1))
     axes.annotate(
-        f"{body.robot}: silent for {body.silent_s:.0f} s", (x, y - radius), xytext=(0, -3),
+        f"{body.robot}: silent {body.how_long}", (x, y - radius), xytext=(0, -3),
         textcoords="offset points", ha="center", va="top", fontsize=8, color=RED, zorder=9,
     )  # fmt: skip
 

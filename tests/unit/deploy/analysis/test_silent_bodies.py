@@ -60,6 +60,21 @@ def test_who_was_heard_last_says_where_it_is() -> None:
     assert body.row["told_by"] == [1, 2]
 
 
+def test_who_was_never_heard_is_not_silent_for_fifty_years() -> None:
+    never = row(6, 0.0, 1.0, 1.0)._replace(time_ns=0)
+    found = heard(beacon(1, 5.0, never), beacon(2, 5.1)).bodies()
+    (body,) = found
+    assert body.silent_s is None
+    assert body.row["silent_s"] is None
+    assert in_words(found) == [
+        "not heard: robot 6 since the drive began (not by robot 1), believed at (1.00, 1.00), "
+        "give or take 0.30 m"
+    ]
+    assert in_words(found, 0) == ["not heard: robot 6 since the drive began"]
+    told = heard(beacon(1, 5.0, never), beacon(2, 5.1, row(6, 4.0, 2.0, 3.0))).bodies()
+    assert [each.silent_s for each in told] == [pytest.approx(1.1)]
+
+
 def test_of_whom_nobody_tells_the_own_last_word_counts() -> None:
     (body,) = heard(beacon(6, 3.0, x=9.0), beacon(1, 10.0)).bodies()
     assert (body.robot, body.silent_s, body.x, body.told_by) == (6, 7.0, 9.0, ())
