@@ -44,7 +44,7 @@ demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves i
 	if [ -e '$(DEMO_OUT)/report.html' ]; then printf '\nReport: %s\n' '$(abspath $(DEMO_OUT))/report.html'; fi; \
 	exit $$status
 
-test: $(VENV)/.dev ## all tests: those that compute, those that start processes, those that need a machine alone
+test: $(VENV)/.dev ## all tests but those of `make compiled`: those that compute, start processes, need a machine alone
 	$(PY) -m pytest -n 2 -m '$(REST)' $(call junit,computing)
 	$(PY) -m pytest $(WAITING) -m 'process and not alone' $(call junit,processes)
 	$(PY) -m pytest -m 'process and alone' $(call junit,alone)

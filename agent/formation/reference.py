@@ -93,14 +93,17 @@ class Reference:
     Args:
         geometry: `agent.formation.geometry.resolve` of `fleet`.
 
+    Args:
+        file: the plan of the fleet file, where it is known already.
+
     Attributes:
         plan: the latest that was taken, None before any.
     """
 
-    def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
+    def __init__(self, fleet: Fleet, geometry: Geometry, file: Plan | None = None) -> None:
         self.plan: Plan | None = None
         self._made_of = fleet, geometry
-        self._file = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry)
+        self._file = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry) if file is None else file
         self._segments = [_Segment(self._file, 0, 0)]
         self._instants: dict[int, _Instant] = {}
 
@@ -127,7 +130,7 @@ class Reference:
 
     def frozen(self) -> Reference:
         """The reference as it is now, whatever missions come."""
-        copy = Reference(*self._made_of)
+        copy = Reference(*self._made_of, self._file)
         copy.plan, copy._segments = self.plan, self._segments
         return copy
 
