@@ -51,7 +51,7 @@ test: $(VENV)/.dev ## all tests but those of `make compiled`: those that compute
 
 test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same bytes as the Python it is made of
 	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)
-	@rm -rf $(COMPILED_BUILD)/tests && cp -RP tests $(COMPILED_BUILD)
+	@rm -rf $(COMPILED_BUILD)/tests $(COMPILED_BUILD)/docs && cp -RP tests docs $(COMPILED_BUILD)
 	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider \
 	  $(addprefix tests/process/test_,$(ON_COMPILED)) $(call junit,compiled-processes)
 
