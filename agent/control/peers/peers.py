@@ -24,6 +24,7 @@ from agent.control.peers.lateness import (
     LATE_MAX_NS,
     OUTAGE_NS,
     STOOD_KEPT_NS,
+    UNSURE_NS,
     missed_at_least,
 )
 from agent.control.peers.peer import NEVER, Peer
@@ -85,7 +86,8 @@ class Peers:
         bound_m: float = 0.0,
     ) -> None:
         self._owner = owner
-        self._period_ns = self._round_ns = period_ns
+        self._round_ns = period_ns
+        self.keep_pace(period_ns)
         self.behind_ns = 0
         self.stood = self.rests = False
         self.stood_until_ns = 0
@@ -130,6 +132,9 @@ class Peers:
     def keep_pace(self, period_ns: int) -> None:
         """From now on the next tick is so much later."""
         self._period_ns = period_ns
+        # Nobody drives in a longer period than the one or the other: that is of a fleet that rests.
+        drives_ns = max(self._round_ns, min(period_ns, UNSURE_NS))
+        self._in_time_ns = max(0, drives_ns + IN_TIME_NS - UNSURE_NS)
 
     def begin(self, now_ns: int) -> None:
         """Begins the tick at `now_ns`, if it has not begun: takes what came too early for the last one."""
@@ -316,13 +321,15 @@ class Peers:
 
         A machine that has too much to do makes messages late and its processes stand, again and again. The
         next time that a robot is silent which stood lately, it may have braked; and who stood himself brakes
-        too late for it. Neither has time in which it would be predicted as driving on. Who says that it
-        stands is not: of a fleet that stands for such a machine, what is late is as late as ever.
+        too late for it. Neither has time in which it would be predicted as driving on, but for the period
+        that the next message takes in time: else, at 4 Hz and less, nobody would be heard at any tick, and to
+        work out where all of them may stand has such a machine stand again. Who says that it stands is not
+        silent: of a fleet that stands for such a machine, what is late is as late as ever.
         """
         if message.stood_ms * NS_PER_MS >= IN_TIME_NS:
             peer.stood_until_ns = message.time_ns + STOOD_KEPT_NS
         stood = message.time_ns < peer.stood_until_ns or now_ns < self.stood_until_ns
-        late_max_ns = 0 if stood and message.following else LATE_MAX_NS
+        late_max_ns = self._in_time_ns if stood and message.following else LATE_MAX_NS
         peer.lateness.most_ns += late_max_ns - peer.late_max_ns  # beside what it promised
         peer.late_max_ns = late_max_ns
 
@@ -362,9 +369,8 @@ class Peers:
         if age_ns > 2 * max(period_ns, self._period_ns):
             peer.delayed += 1
         self._forgive(peer, message, now_ns)
-        peer.lateness.most_ns = (
-            peer.late_max_ns or message.next_ms * NS_PER_MS
-        )  # what it promised is not late
+        promised_ns = message.next_ms * NS_PER_MS  # what it promised is not late
+        peer.lateness.most_ns = min(max(peer.late_max_ns, promised_ns), LATE_MAX_NS)
         if message.next_ms or peer.hand_next_ns:
             self._note_promised(peer, message, now_ns, peer.next_ns)
             peer.hand_next_ns = message.next_ms * NS_PER_MS

@@ -57,14 +57,19 @@ def standing(_time_ns: int) -> Sample:
     return 3.0, 4.0, 0.0, 0.0, 0.0, 0.0
 
 
-def peers(reference: Callable[[int], Sample] = circling, epoch_ns: int = T0, **options: Any) -> Peers:
+def peers(
+    reference: Callable[[int], Sample] = circling,
+    epoch_ns: int = T0,
+    period_ns: int = PERIOD,
+    **options: Any,
+) -> Peers:
     def motion(robot: int, time_ns: int) -> Sample | None:
         if robot not in OFFSETS:
             return None
         x, y, *rest = reference(time_ns)
         return x + OFFSETS[robot][0], y + OFFSETS[robot][1], *rest
 
-    made = Peers(1, C1, C2, PERIOD, motion, **options)
+    made = Peers(1, C1, C2, period_ns, motion, **options)
     made.forecast.epoch_ns = epoch_ns
     return made
 

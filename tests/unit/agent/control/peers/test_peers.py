@@ -268,6 +268,24 @@ def test_who_stood_lately_is_heard_until_its_next_message_was_promised():
     assert not peer.is_heard(stamp + next_ns + UNSURE_NS + PERIOD)
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "full_hz"), [(2.0, 2.0), (3.0, 3.0), (4.0, 4.0), (4.0, 16.0), (5.0, 5.0), (5.0, 20.0)]
+)
+def test_who_is_in_time_is_heard_at_any_rate_though_processes_stood(rate_hz: float, full_hz: float):
+    """At 4 Hz a message is a period old at the next tick: 0.25 s, after which one may have stopped."""
+    period = round(S / rate_hz)
+    known = peers(period_ns=round(S / full_hz))
+    known.keep_pace(period)
+    known.stood_until_ns = T0 + S  # and says so
+    stamp = T0
+    for k in range(8):
+        stamp = T0 + k * period
+        heard(known, message(2, k, stamp)._replace(stood_ms=150), now_ns=stamp + period)
+    peer = known.get(2)
+    assert peer.is_heard(stamp + period)
+    assert not peer.is_heard(stamp + 2 * period)
+
+
 def test_nothing_is_forgiven_while_the_own_process_stood_lately():
     known, late_ns = peers(), 8 * S // 10
     known.stood_until_ns = T0 + late_ns + 4 * S
