@@ -13,7 +13,6 @@ Lengths in m, W; times in s since the robot's last message. See (S1) to (S6) of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from math import ceil, hypot, inf
 from typing import Final, NamedTuple
 
@@ -127,21 +126,27 @@ def stood_on(way: Sequence[tuple[float, float, float]], doubt: float) -> Belief:
         way: rows (s since its last message, x, y), the first of that message.
         doubt: its position uncertainty at its last message, m.
     """
-    travelled = [0.0]
-    for (_, x0, y0), (_, x1, y1) in pairwise(way):
-        travelled.append(travelled[-1] + hypot(x1 - x0, y1 - y0))
-    count = max(1, min(STRETCHES_MAX, ceil(travelled[-1] / STRETCH - 1e-9)))
-    length = travelled[-1] / count
+    so_far, travelled = 0.0, [0.0]
+    _, x, y = way[0]
+    for _, to_x, to_y in way[1:]:
+        so_far += hypot(to_x - x, to_y - y)
+        travelled.append(so_far)
+        x, y = to_x, to_y
+    count = max(1, min(STRETCHES_MAX, ceil(so_far / STRETCH - 1e-9)))
+    length = so_far / count
     stretches = []
-    low = 0
+    low, last = 0, len(way) - 1
     for number in range(count):
-        high = low
-        while high < len(way) - 1 and travelled[high] < (number + 1) * length - 1e-9:
+        high, until = low, (number + 1) * length - 1e-9
+        while high < last and travelled[high] < until:
             high += 1
         after, x, y = way[low]
-        line = Stretch(x, y, way[high][1] - x, way[high][2] - y, doubt, after)
-        bends = max(line.distance(px, py) for _, px, py in way[low : high + 1])
-        stretches.append(line._replace(radius=bends + doubt))
+        _, to_x, to_y = way[high]
+        line = Stretch(x, y, to_x - x, to_y - y, doubt, after)
+        bends = 0.0  # of those between its ends
+        for _, to_x, to_y in way[low + 1 : high]:
+            bends = max(bends, line.distance(to_x, to_y))
+        stretches.append(Stretch(x, y, line.dx, line.dy, bends + doubt, after))
         low = high
     return _belief(stretches, tuple((x, y) for _, x, y in way), doubt)
 
@@ -156,8 +161,13 @@ def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -
 
 
 def _belief(stretches: list[Stretch], way: tuple[Vector, ...], doubt: float) -> Belief:
-    ends = [(end, each) for each in stretches for end in ((each.x, each.y), each.end)]
-    x = 0.5 * (min(end[0] for end, _ in ends) + max(end[0] for end, _ in ends))
-    y = 0.5 * (min(end[1] for end, _ in ends) + max(end[1] for end, _ in ends))
-    reach = max(hypot(end[0] - x, end[1] - y) + each.radius_at(inf) for end, each in ends)
+    left = low = inf
+    right = high = -inf
+    for each in stretches:
+        for x, y in ((each.x, each.y), (each.x + each.dx, each.y + each.dy)):
+            left, right, low, high = min(left, x), max(right, x), min(low, y), max(high, y)
+    x, y, reach = 0.5 * (left + right), 0.5 * (low + high), 0.0
+    for each in stretches:
+        away = max(hypot(each.x - x, each.y - y), hypot(each.x + each.dx - x, each.y + each.dy - y))
+        reach = max(reach, away + each.radius + DOUBT_MAX)
     return Belief(tuple(stretches), x, y, reach, way, doubt)

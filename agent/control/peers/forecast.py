@@ -16,7 +16,7 @@ from agent.common.time import NS_PER_S
 from agent.control.peers.beliefs import DOUBT_MAX, Belief, stood_on
 from agent.control.peers.lanes import Lane
 from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.prediction import Prediction, coasting, following, slowed
+from agent.control.peers.prediction import Prediction, coasting, following, slowed, unforced
 from agent.formation.reference import Reference
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -133,10 +133,24 @@ class Forecast:
     def _onward(self, message: HandState, step_s: float, motion: Motion) -> Iterator[Vector]:
         """Where a robot is every `step_s` after a message, if it follows from then on; one without a place
         brakes."""
-        step_ns = round(step_s * NS_PER_S)
-        while True:
-            then_ns = message.time_ns + step_ns
-            found = self.following(message, then_ns, motion) or coasting(message, step_s)
-            yield found.position
-            place = *found.position, *found.velocity
-            message = HandState.placed(message.robot, 0, then_ns, True, 0, place)
+        step_ns, robot = round(step_s * NS_PER_S), message.robot
+        then_ns = message.time_ns + step_ns
+        found = self.following(message, then_ns, motion) or coasting(message, step_s)
+        yield found.position
+        place = *found.position, *found.velocity
+        since = motion(robot, then_ns)
+        while True:  # each step as `following` has it: tens of them for each robot that may have stopped
+            before_ns, then_ns = then_ns, then_ns + step_ns
+            then = motion(robot, then_ns)
+            if then is None:
+                braking = coasting(HandState.placed(robot, 0, before_ns, True, 0, place), step_s)
+                place = *braking.position, *braking.velocity
+            else:
+                since_ns = before_ns
+                if before_ns < self.epoch_ns:
+                    since_ns = min(self.epoch_ns, then_ns)
+                    since = motion(robot, since_ns)
+                age = (then_ns - since_ns) * 1e-9
+                place = unforced(place, then, since or then, age, self._c1, self._c2, self.most)
+            since = then
+            yield place[0], place[1]

@@ -20,6 +20,8 @@ BRAKING_TIME_S: Final = 0.2
 
 Transition = tuple[float, float, float, float, float, float, float]
 """What `transition` returns: (a11, a12, a21, a22, b1, b2, remains)."""
+Place = tuple[float, float, float, float]
+"""Where a robot is, m, and how fast, m/s, W: (x, y, vx, vy)."""
 
 
 def constraint_decay(kd: float, kp: float) -> float:
@@ -120,6 +122,44 @@ def following(
         ),
         (remains * fx, remains * fy),
     )
+
+
+def unforced(
+    place: Place, then: Sample, since: Sample, age: float, c1: float, c2: float, most: float | None
+) -> Place:
+    """Where a robot is that no forces act on but those of navigation, and how fast: as `following` has it.
+
+    Args:
+        place: where it was `age` seconds ago, m, and how fast, m/s, W; the others as there.
+    """
+    x, y, vx, vy = place
+    x0, y0, vx0, vy0, _, _ = since
+    x1, y1, vx1, vy1, _, _ = then
+    ex, ey, edot_x, edot_y = x - x0, y - y0, vx - vx0, vy - vy0
+    if most is not None:
+        acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
+        if acting != error:
+            slowed, rise = _fading(c2, age)
+            aim_x, aim_y = -c1 * acting[0] / c2, -c1 * acting[1] / c2
+            return (
+                x1 + (ex + aim_x * age + (edot_x - aim_x) * rise),
+                y1 + (ey + aim_y * age + (edot_y - aim_y) * rise),
+                vx1 + (aim_x + (edot_x - aim_x) * slowed),
+                vy1 + (aim_y + (edot_y - aim_y) * slowed),
+            )
+    a11, a12, a21, a22, _, _, _ = transition(c1, c2, 0.0, age)
+    return (
+        x1 + (a11 * ex + a12 * edot_x),
+        y1 + (a11 * ey + a12 * edot_y),
+        vx1 + (a21 * ex + a22 * edot_x),
+        vy1 + (a21 * ey + a22 * edot_y),
+    )
+
+
+@lru_cache(maxsize=1024)
+def _fading(c2: float, age: float) -> Vector:
+    """What is left of a speed that fades by c2 (1/s) after `age` seconds, and how far it has led, per m/s."""
+    return exp(-c2 * age), -expm1(-c2 * age) / c2
 
 
 def slowed(
