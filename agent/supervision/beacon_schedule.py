@@ -17,7 +17,7 @@ from typing import Final
 from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.beliefs import said_doubt
 from agent.fleet.model import Fleet
-from agent.fleet.safety import ORDERS_HZ
+from agent.fleet.safety import ORDERS_HZ, ORDERS_ROBOTS
 from agent.messages.trickle_timer import TrickleTimer
 from agent.messages.types import SILENT_MAX, Beacon, Silent
 
@@ -67,7 +67,9 @@ class BeaconSchedule:
         # Others for each, else all that hurried once for the same reason do so again in one tick.
         self._pause_ns: Final = round((0.5 + shares[1]) * len(fleet.robots) * NS_PER_S / HURRIES_HZ)
         self._hurried_ns, self._is_missed = -self._pause_ns, False
-        all_ns = len(fleet.robots) * NS_PER_S // ORDERS_HZ // least_ns * least_ns
+        robots = len(fleet.robots)
+        all_ns = robots * max(robots, ORDERS_ROBOTS) * NS_PER_S // (ORDERS_HZ * ORDERS_ROBOTS)
+        all_ns = min(all_ns, most_ns) // least_ns * least_ns
         self._again_ns: Final = all_ns
         self._orders_pause_ns: Final = round(shares[0] * all_ns / least_ns) * least_ns
         self._orders_ns: int | None = None
