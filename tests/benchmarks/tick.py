@@ -1,8 +1,8 @@
 """One agent tick: drain, decode 4 neighbours and the plant, law, encode.
 
 In one process, without Zenoh: *hot*, tick after tick, and *cold*, where the process sleeps before
-each tick as a real one does and finds its caches cold. Then as real agents measure it themselves
-in `handfast run delta`.
+each tick as a real one does and finds its caches cold; and at 4 Hz, of a robot that stands now and
+then. Then as real agents measure it themselves in `handfast run delta`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from agent import core
 from agent.control import law, safety_filter
 from agent.control.peers.peers import Peers
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.links import ingress
@@ -37,6 +37,7 @@ from agent.supervision import outbox
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.situation import Situation
 from agent.supervision.state_machine import State
+from deploy.analysis.lattice import lattice
 from deploy.console.arguments import fleet_path
 from deploy.recording.mcap_reader import read_run
 from deploy.simulate import simulation
@@ -49,6 +50,8 @@ TARGET_US: Final = 150.0
 OVERRUNS: Final = 0.1
 """Percent."""
 COLD_SLEEP_S: Final = 0.01
+SLOW_HZ: Final = 4.0
+HITCHED: Final = 1.25
 COMMAND_TIMEOUT_S: Final = 60.0
 
 # Stage -> functions whose time it is.
@@ -194,6 +197,22 @@ def in_process(options: Options) -> Result:
     return result
 
 
+def after_a_hitch(options: Options) -> Result:
+    """A fleet at 4 Hz, one of whose robots stands for a moment every few seconds: what its ticks take then.
+
+    What makes ticks longer because the last one was late has a full machine stand for good.
+    """
+    medians = []
+    for share in (0, 5):
+        text = lattice("slow", 20, rate_hz=SLOW_HZ, duration_s=15.0 if options.quick else 60.0)
+        hitches = f'[[faults.rule]]\nrobot = {ROBOT}\ntick_jitter = "600ms"\ntick_jitter_share = "{share}%"\n'
+        found = probe(0.0, fleet=resolved(parse_fleet(f"{text}\n{hitches}", source="slow")))
+        medians.append(median(found.ticks_us))
+    ratio = medians[1] / medians[0]
+    note = f"{medians[1]:.0f} and {medians[0]:.0f} us"
+    return Result([Figure("tick at 4 Hz of one that stands at times / never", ratio, "", HITCHED, note=note)])
+
+
 def codec() -> Result:
     """Bytes of the messages of every tick to checked messages, and back, tick after tick."""
     multipliers = tuple((robot, 0.5 / robot) for robot in range(1, 5))
@@ -270,5 +289,5 @@ def in_a_run(options: Options) -> Result:
 
 
 def run(options: Options) -> Result:
-    first, second, third = in_process(options), codec(), in_a_run(options)
-    return Result(first.figures + second.figures + third.figures, first.details)
+    first, *others = in_process(options), after_a_hitch(options), codec(), in_a_run(options)
+    return Result(first.figures + [figure for each in others for figure in each.figures], first.details)
