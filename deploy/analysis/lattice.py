@@ -22,6 +22,11 @@ DURATION_S: Final = 60.0
 TIMEOUT_S: Final = 0.2
 TIMEOUT_PERIODS: Final = 3.0
 """Agent and plant wait so long for each other, and so many periods at least."""
+FALLING_HZ: Final = 8.0
+"""From this rate on the fleet can fall to half of it where machines cannot keep it, which many robots of one
+machine need: what can only go on as before, or stand, stands."""
+FALLING_PERIODS: Final = 4.5
+"""Then they wait so many periods: two of the lower rate, and a little more."""
 SPEED_M: Final = 0.15
 """Robots go so far in a period at most: those that may be faster listen to each other from further away."""
 KP: Final = 1.0
@@ -61,8 +66,11 @@ def lattice(
     """
     spots, random = places(robots), Random(seed)
     joined = edges(spots)
-    timeout_s = max(TIMEOUT_S, TIMEOUT_PERIODS / rate_hz)
-    limit = f"\nmax_speed_mps = {SPEED_M * rate_hz:g}" if rate_hz < RATE_HZ else ""
+    falls = rate_hz >= FALLING_HZ
+    lowest_hz = 0.5 * rate_hz if falls else rate_hz
+    timeout_s = max(TIMEOUT_S, (FALLING_PERIODS if falls else TIMEOUT_PERIODS) / rate_hz)
+    limit = f"\nrate_min_hz = {lowest_hz:g}" if falls else ""
+    limit += f"\nmax_speed_mps = {SPEED_M * lowest_hz:g}" if lowest_hz < RATE_HZ else ""
     rows = []
     for number, (x, y) in enumerate(spots, 1):
         at = x + random.uniform(-SCATTER_M, SCATTER_M), y + random.uniform(-SCATTER_M, SCATTER_M)

@@ -48,7 +48,8 @@ TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
 TIMEOUT_PERIODS: Final = 3.0
 """Fields of `[control]` that must be at least two periods; with so many one lost message is nothing."""
 SPEED: Final = "max_speed_mps"
-"""Field of `[control]` that is lower at a lower rate."""
+LOWEST: Final = "rate_min_hz"
+"""Fields of `[control]` that are lower at a lower rate."""
 RATES_HZ: Final = (50.0, 40.0, 30.0, 25.0, 20.0, 15.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.0)
 """Rates that are proposed."""
 
@@ -139,6 +140,8 @@ def slower(fleet: Fleet, rate_hz: float) -> Fleet:
     control = fleet.control
     least_s = TIMEOUT_PERIODS / rate_hz
     changes = {name: max(getattr(control, name), least_s) for name in TIMEOUTS}
+    if control.rate_min_hz is not None:
+        changes[LOWEST] = min(control.rate_min_hz, rate_hz)
     found = replace(fleet, fleet=replace(fleet.fleet, rate_hz=rate_hz), control=replace(control, **changes))
     later = barrier_rate(found) / barrier_rate(fleet)
     if fleet.avoidance.enabled and fleet.avoidance.sensing_m is None and later < 1.0:
@@ -160,7 +163,7 @@ def that_fits(fleet: Fleet, machine: Machine) -> Fleet | None:
 def settings(fleet: Fleet, found: Fleet) -> list[str]:
     """What makes `found`, which `slower` has made of `fleet`, of it: for ``--set``."""
     changes = [f"fleet.rate_hz={found.fleet.rate_hz:g}"]
-    for name in (SPEED, *TIMEOUTS):
+    for name in (LOWEST, SPEED, *TIMEOUTS):
         if getattr(found.control, name) != getattr(fleet.control, name):
             changes.append(f"control.{name}={getattr(found.control, name):g}")
     return changes

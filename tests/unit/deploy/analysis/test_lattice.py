@@ -6,6 +6,7 @@ from math import hypot
 
 import pytest
 
+from agent.control.pace import steps
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve, start_hands
 from deploy.analysis.lattice import ROBOTS_MIN, SCATTER_M, SIDE_M, edges, lattice, places
@@ -41,6 +42,14 @@ def test_every_one_is_rigid_also_where_the_last_row_is_not_full(robots: int):
 def test_nothing_is_wrong_with_it_at_any_rate(rate_hz: float):
     fleet = parse_fleet(lattice("many", 30, rate_hz=rate_hz), source="many")
     assert [str(finding) for finding in check(fleet) if finding.level != "info"] == []
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "falls"), [(4.0, 0), (5.0, 0), (8.0, 1), (10.0, 1), (20.0, 1), (50.0, 1)]
+)
+def test_its_rate_can_fall_to_half_of_it_where_machines_cannot_keep_it(rate_hz: float, falls: int):
+    fleet = parse_fleet(lattice("many", 30, rate_hz=rate_hz), source="many")
+    assert steps(fleet) == falls
 
 
 def test_robots_start_near_their_places_as_the_seed_has_it():

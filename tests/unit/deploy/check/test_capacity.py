@@ -131,7 +131,8 @@ def test_at_the_rate_that_is_proposed_a_robot_listens_to_no_more_others_than_bef
     assert within == 2.0 * len(many.formation.edges) / 60, "its neighbours"
     for rate_hz in (8.0, 6.0, 4.0, 2.0):
         assert load_of(slower(many, rate_hz)).hands / rate_hz == pytest.approx(within)
-    kept = replace(many.control, plant_timeout_s=1.0, wrench_timeout_s=1.0)
+    fast = {"max_speed_mps": 1.5, "rate_min_hz": 4.0}
+    kept = replace(many.control, plant_timeout_s=1.0, wrench_timeout_s=1.0, **fast)
     as_fast = replace(many, fleet=replace(many.fleet, rate_hz=4.0), control=kept)
     assert load_of(as_fast).hands / 4.0 > 3.0 * within, "who is fast brakes late at a low rate"
 
