@@ -31,7 +31,7 @@ from agent.messages.types import TIME_NS_MAX, Mission
 LEAVE_FADE_NS: Final = 500_000_000
 """Within which the edges of a robot that leaves lose their weight: it brakes, and is not waited for."""
 _SEGMENTS_MAX: Final = 8  # blends of missions before these are over
-_INSTANTS_MAX: Final = 128
+_INSTANTS_MAX: Final = 64
 
 
 class Edge(NamedTuple):

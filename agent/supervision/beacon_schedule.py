@@ -67,9 +67,8 @@ class BeaconSchedule:
         # Others for each, else all that hurried once for the same reason do so again in one tick.
         self._pause_ns: Final = round((0.5 + shares[1]) * len(fleet.robots) * NS_PER_S / HURRIES_HZ)
         self._hurried_ns, self._is_missed = -self._pause_ns, False
-        robots = len(fleet.robots)
-        all_ns = robots * max(robots, ORDERS_ROBOTS) * NS_PER_S // (ORDERS_HZ * ORDERS_ROBOTS)
-        all_ns = min(all_ns, most_ns) // least_ns * least_ns
+        all_s = len(fleet.robots) / ORDERS_HZ * max(1.0, len(fleet.robots) / ORDERS_ROBOTS)
+        all_ns = min(round(all_s * NS_PER_S), most_ns) // least_ns * least_ns
         self._again_ns: Final = all_ns
         self._orders_pause_ns: Final = round(shares[0] * all_ns / least_ns) * least_ns
         self._orders_ns: int | None = None

@@ -23,12 +23,14 @@ TIMEOUT_S: Final = 0.2
 TIMEOUT_PERIODS: Final = 3.0
 """Agent and plant wait so long for each other, and so many periods at least."""
 FALLING_HZ: Final = 8.0
-"""From this rate on the fleet can fall to half of it where machines cannot keep it, which many robots of one
-machine need: what can only go on as before, or stand, stands."""
+"""From this rate on the fleet can fall to half of it (4 Hz is the lowest to which any can,
+`agent.control.pace`). Many robots of one machine need that: where it is late, and the fleet cannot fall to a
+lower rate, all stand."""
 FALLING_PERIODS: Final = 4.5
-"""Then they wait so many periods: two of the lower rate, and a little more."""
+"""Then agent and plant wait so many periods for each other: two of the lower rate, and a little more."""
 SPEED_M: Final = 0.15
-"""Robots go so far in a period at most: those that may be faster listen to each other from further away."""
+"""Robots go so far in a period of the lowest rate at most: those that may be faster listen to each other from
+further away."""
 KP: Final = 1.0
 KP_BY_HZ: Final = 0.125
 """Slower robots are pulled into shape less: else they may fold it (docs/theory.md)."""
@@ -69,8 +71,8 @@ def lattice(
     falls = rate_hz >= FALLING_HZ
     lowest_hz = 0.5 * rate_hz if falls else rate_hz
     timeout_s = max(TIMEOUT_S, (FALLING_PERIODS if falls else TIMEOUT_PERIODS) / rate_hz)
-    limit = f"\nrate_min_hz = {lowest_hz:g}" if falls else ""
-    limit += f"\nmax_speed_mps = {SPEED_M * lowest_hz:g}" if lowest_hz < RATE_HZ else ""
+    limits = f"\nrate_min_hz = {lowest_hz:g}" if falls else ""
+    limits += f"\nmax_speed_mps = {SPEED_M * lowest_hz:g}" if lowest_hz < RATE_HZ else ""
     rows = []
     for number, (x, y) in enumerate(spots, 1):
         at = x + random.uniform(-SCATTER_M, SCATTER_M), y + random.uniform(-SCATTER_M, SCATTER_M)
@@ -109,7 +111,7 @@ edges = [
 coupling = "joint"
 kp = {min(KP, KP_BY_HZ * rate_hz):g}
 plant_timeout_s = {timeout_s:g}
-wrench_timeout_s = {timeout_s:g}{limit}
+wrench_timeout_s = {timeout_s:g}{limits}
 
 [trajectory]
 kind = "circle"

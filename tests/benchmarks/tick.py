@@ -52,6 +52,7 @@ OVERRUNS: Final = 0.1
 COLD_SLEEP_S: Final = 0.01
 SLOW_HZ: Final = 4.0
 HITCHED: Final = 1.25
+"""No more than so many times as long may a tick take of a robot that stands now and then."""
 COMMAND_TIMEOUT_S: Final = 60.0
 
 # Stage -> functions whose time it is.

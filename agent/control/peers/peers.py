@@ -132,7 +132,8 @@ class Peers:
     def keep_pace(self, period_ns: int) -> None:
         """From now on the next tick is so much later."""
         self._period_ns = period_ns
-        # Nobody drives in a longer period than the one or the other: that is of a fleet that rests.
+        # So much is forgiven to what is in time, which is a period old at the next tick. A longer period than
+        # these is that of a fleet that rests, in which nobody drives.
         drives_ns = max(self._round_ns, min(period_ns, UNSURE_NS))
         self._in_time_ns = max(0, drives_ns + IN_TIME_NS - UNSURE_NS)
 

@@ -127,7 +127,8 @@ def following(
 def unforced(
     place: Place, then: Sample, since: Sample, age: float, c1: float, c2: float, most: float | None
 ) -> Place:
-    """Where a robot is that no forces act on but those of navigation, and how fast: as `following` has it.
+    """Where a robot is on which no forces act but those of navigation, and how fast, by (P1) and (N1): to the
+    bit what `following` says of it, in half of the time.
 
     Args:
         place: where it was `age` seconds ago, m, and how fast, m/s, W; the others as there.
@@ -139,13 +140,13 @@ def unforced(
     if most is not None:
         acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
         if acting != error:
-            slowed, rise = _fading(c2, age)
+            left, rise = _fading(c2, age)
             aim_x, aim_y = -c1 * acting[0] / c2, -c1 * acting[1] / c2
             return (
                 x1 + (ex + aim_x * age + (edot_x - aim_x) * rise),
                 y1 + (ey + aim_y * age + (edot_y - aim_y) * rise),
-                vx1 + (aim_x + (edot_x - aim_x) * slowed),
-                vy1 + (aim_y + (edot_y - aim_y) * slowed),
+                vx1 + (aim_x + (edot_x - aim_x) * left),
+                vy1 + (aim_y + (edot_y - aim_y) * left),
             )
     a11, a12, a21, a22, _, _, _ = transition(c1, c2, 0.0, age)
     return (
@@ -158,7 +159,8 @@ def unforced(
 
 @lru_cache(maxsize=1024)
 def _fading(c2: float, age: float) -> Vector:
-    """What is left of a speed that fades by c2 (1/s) after `age` seconds, and how far it has led, per m/s."""
+    """What is left after `age` seconds of a speed that fades by c2 (1/s), and how far it has led, s: both for
+    each m/s of it."""
     return exp(-c2 * age), -expm1(-c2 * age) / c2
 
 
@@ -202,12 +204,11 @@ def _approaching(
         abs(c2 - decay) < 1e-5 * c2
     ):  # the quotients below are 0 / 0: a decay beside it has the limit to five digits
         decay = (1.0 - 1e-5) * c2
-    slowed = exp(-c2 * age)
+    left, rise = _fading(c2, age)
     remains = exp(-decay * age)
-    rise = -expm1(-c2 * age) / c2
     faded = -expm1(-decay * age) / decay if decay > 0.0 else age
     # Integrals of the force's part.
-    of_speed, of_place = (remains - slowed) / (c2 - decay), (faded - rise) / (c2 - decay)
+    of_speed, of_place = (remains - left) / (c2 - decay), (faded - rise) / (c2 - decay)
     places, speeds, pulls = [], [], []
     forces = (
         (message.constraint_x, message.correction_x),
@@ -216,7 +217,7 @@ def _approaching(
     for e, edot, pull, (constraint, correction) in zip(error, rate, acting, forces, strict=True):
         force = constraint + correction
         aim = -c1 * pull / c2
-        speed = aim + (edot - aim) * slowed + force * of_speed
+        speed = aim + (edot - aim) * left + force * of_speed
         places.append(e + aim * age + (edot - aim) * rise + force * of_place)
         speeds.append(speed)
         pulls.append(c2 * (aim - speed) + remains * correction)

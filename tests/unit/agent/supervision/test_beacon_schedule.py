@@ -298,6 +298,29 @@ def test_what_all_hurried_for_at_once_they_do_not_hurry_for_at_once_again(spread
     assert sum(hurried[second] for second in range(1, 40)) <= 1.5 * 39 * HURRIES_HZ
 
 
+@pytest.mark.parametrize("spread", [True])
+@pytest.mark.parametrize(("robots", "most_hz", "told_s"), [(60, 200, 0.6), (100, 200, 0.8), (200, 100, 2.2)])
+def test_an_order_is_told_by_no_more_robots_in_a_second_than_all_can_hear(
+    robots: int, most_hz: int, told_s: float, spread: bool
+) -> None:
+    made = fleet(robots=robots)
+    told: Counter[int] = Counter()
+    last_ns = 0
+    for robot in range(1, robots + 1):
+        schedule, knows = BeaconSchedule(made, robot, 0), False
+        for k in range(160):  # it comes after 8 s
+            now_ns = T0 + k * made.period_ns
+            marks = MARKS if k < 80 else (MARKS[0] + 1, *MARKS[1:])
+            if schedule.is_turn(now_ns) and schedule.timed(beacon(now_ns, robot=robot, marks=marks)):
+                if k >= 80 and not knows:
+                    told[k // 5] += 1
+                    last_ns = max(last_ns, now_ns - T0 - 8 * NS_PER_S)
+                knows = k >= 80
+    assert sum(told.values()) == robots
+    assert max(told.values()) <= 0.5 * most_hz + 30, "with those that were due anyway"
+    assert last_ns <= told_s * NS_PER_S
+
+
 def test_who_wants_no_lower_rate_than_others_has_no_news_of_it() -> None:
     for level, hurries in ((0, True), (1, False), (2, False)):
         bench = quiet()

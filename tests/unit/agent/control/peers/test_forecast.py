@@ -45,8 +45,8 @@ def at(x: float, y: float, robot: int = 2, speed: float = 0.0, follows: bool = T
 @pytest.mark.parametrize("since_s", [-0.25, 0.0, 3.0], ids=["before the epoch", "at it", "in the drive"])
 def test_its_way_is_made_of_the_steps_of_which_each_prediction_is(x: float, robot: int, since_s: float):
     forecast, _ = scene()
-    message = HandState.placed(robot, 0, T0 + round(since_s * S), True, 0, (x, 1.0, 0.3, -0.2))
-    message = message._replace(constraint_x=0.4, correction_y=-0.3)
+    said = HandState.placed(robot, 0, T0 + round(since_s * S), True, 0, (x, 1.0, 0.3, -0.2))
+    message = said = said._replace(constraint_x=0.4, correction_y=-0.3)
     points, step_ns = [(message.x, message.y)], round(STEP_S * S)
     for _ in range(40):
         then_ns = message.time_ns + step_ns
@@ -54,9 +54,7 @@ def test_its_way_is_made_of_the_steps_of_which_each_prediction_is(x: float, robo
         points.append(found.position)
         place = *found.position, *found.velocity
         message = HandState.placed(robot, 0, then_ns, True, 0, place)
-    message = HandState.placed(robot, 0, T0 + round(since_s * S), True, 0, (x, 1.0, 0.3, -0.2))
-    way = forecast.stood(message._replace(constraint_x=0.4, correction_y=-0.3), 40 * STEP_S).way
-    assert way == tuple(points)
+    assert forecast.stood(said, 40 * STEP_S).way == tuple(points)
 
 
 def test_a_robot_far_from_its_place_does_not_go_beyond_it():
