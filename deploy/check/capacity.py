@@ -135,8 +135,9 @@ def carried(fleet: Fleet, machine: Machine) -> int:
 
 
 def slower(fleet: Fleet, rate_hz: float) -> Fleet:
-    """`fleet` at a lower rate, with timeouts that suit it, and with a speed limit from which robots brake in
-    as short a way as before: else they would have to listen to each other from further away."""
+    """`fleet` at a lower rate, with timeouts that suit it, with a lowest rate that is no higher, and with a
+    speed limit from which robots brake in as short a way as before: else they would have to listen to each
+    other from further away."""
     control = fleet.control
     least_s = TIMEOUT_PERIODS / rate_hz
     changes = {name: max(getattr(control, name), least_s) for name in TIMEOUTS}
