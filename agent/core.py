@@ -133,7 +133,7 @@ class Agent:
         self._report = StatusReport(self.rejected, self._overload, self._radio)
         self._route(name, others)
 
-        self.alive_key: Final = key_expressions.alive(name, robot, "agent")
+        self.alive_keys: Final = (key_expressions.alive(name, robot, "agent"),)
         self._alive_of = {other: key_expressions.alive(name, other, "agent") for other in others}
         self.watched: tuple[str, ...] = ()
         if self._watches_all:

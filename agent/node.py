@@ -1,7 +1,8 @@
 """The contract between the sans-IO core of a process on the bus and whatever drives it.
 
-Two cores fulfil it, `agent.core.Agent` and `plant.node.PlantNode`; two drivers use it,
-`agent.runtime.loop.loop` (real time, Zenoh) and `deploy.simulate.simulation` (virtual time).
+Three cores fulfil it, `agent.core.Agent`, `plant.node.PlantNode` and `plant.pool.PlantPool`, which is several
+of those; two drivers use it, `agent.runtime.loop.loop` (real time, Zenoh) and `deploy.simulate.simulation`
+(virtual time).
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class Node(Protocol):
         ...
 
     @property
-    def alive_key(self) -> str:
-        """Key of the liveliness token that stands for this process."""
+    def alive_keys(self) -> Sequence[str]:
+        """Keys of the liveliness tokens that stand for this process: one for each robot that it serves."""
         ...
 
     @property

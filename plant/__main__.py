@@ -2,7 +2,8 @@
 
 It starts where the fleet file has it start; with ``--pose=X,Y,HEADING`` (m, m, W; rad, counter-clockwise from
 x) there; with ``--pose-file FILE`` where that file has it last, so that a process that starts again finds its
-body where it was. With ``--look`` a vehicle is only looked at.
+body where it was. With ``--look`` a vehicle is only looked at. With ``--with ID,ID`` it is the process of the
+bodies of these robots, too (`plant.pool`), whose logs it writes into the folder ``--logs DIR``.
 """
 
 from __future__ import annotations
@@ -43,6 +44,17 @@ def place(text: str) -> Place:
     return x, y, heading
 
 
+def ids(text: str) -> list[int]:
+    """Reads the value of ``--with``: numbers of robots.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    if not all(part.isascii() and part.isdigit() and len(part) <= 9 for part in text.split(",")):
+        raise argparse.ArgumentTypeError(f"must be numbers of robots such as 2,3,4, got {text!r:.80}")
+    return [int(part) for part in text.split(",")]
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process; returns its exit status.
 
@@ -53,7 +65,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--pose", type=place, metavar="X,Y,HEADING")
     parser.add_argument("--pose-file", type=Path, metavar="FILE")
     parser.add_argument("--look", action="store_true")
+    parser.add_argument("--with", dest="beside", type=ids, default=[], metavar="ID,ID")
+    parser.add_argument("--logs", type=Path, metavar="DIR")
     options, rest = parser.parse_known_args(argv)
+    if options.beside and (options.pose is not None or options.pose_file is not None):
+        parser.error("--with: a place is one body's; let each start where the fleet file has it")
 
     def make(fleet: Fleet, robot: int, clock: Clock, log: Log) -> PlantBackend:
         kind = fleet.robot(robot).kind
@@ -79,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise StartError(str(error)) from None
 
     try:
-        return serve(rest, "python -m plant", make)
+        return serve(rest, "python -m plant", make, options.beside, options.logs)
     except PoseFileError as error:
         print(f"plant: {error}", file=sys.stderr)
         return FAILED

@@ -67,7 +67,7 @@ class PlantNode:
         self._key_state = key_expressions.plant_state(name, robot)
         self._key_truth = key_expressions.plant_truth(name, robot)
         self._key_wrench = key_expressions.wrench(name, robot)
-        self.alive_key: Final = key_expressions.alive(name, robot, "plant")
+        self.alive_keys: Final = (key_expressions.alive(name, robot, "plant"),)
         self._key_checks = key_expressions.checks(name, robot)
         geometry = None
         if not fleet.is_resolved:  # else without numpy, which takes its time

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 
 from agent.common.time import Clock
 from agent.fleet.model import Fleet
 from agent.runtime.loop import Log
-from agent.runtime.process import Start
+from agent.runtime.process import Start, StartError, log_name, logger
 from agent.runtime.process import main as process_main
 from plant.backend import PlantBackend
 from plant.node import PlantNode
+from plant.pool import PlantPool, PoolTicks
 
 
 def main(
-    argv: Sequence[str] | None, program: str, make: Callable[[Fleet, int, Clock, Log], PlantBackend]
+    argv: Sequence[str] | None,
+    program: str,
+    make: Callable[[Fleet, int, Clock, Log], PlantBackend],
+    beside: Sequence[int] = (),
+    logs: Path | None = None,
 ) -> int:
     """Command line of a plant process. Returns the exit status.
 
@@ -23,6 +30,9 @@ def main(
         program: its name, for messages.
         make: the backend of a robot, from its fleet, its id, the process's clock and what writes a line of
             its log.
+        beside: robots whose plants the process serves, too. Others hear them through the fleet's routers:
+            it listens nowhere.
+        logs: folder of these plants' logs, each in a file of its own; None: in that of the process.
     """
 
     def start(fleet: Fleet, robot: int, clock: Clock, log: Log) -> Start:
@@ -30,8 +40,31 @@ def main(
             from agent.formation.geometry import resolved
 
             fleet = resolved(fleet)
+        if beside:
+            return _several(fleet, [robot, *beside], clock, log)
         backend = make(fleet, robot, clock, log)
         node = PlantNode(fleet, robot, backend)
         return Start(node, fleet.plant_listens(robot), [fleet.agent_near(robot)], backend.close)
+
+    def _several(fleet: Fleet, robots: Sequence[int], clock: Clock, log: Log) -> Start:
+        if not fleet.routers:
+            raise StartError("the plants of several robots share a process only behind a router")
+        unknown = [robot for robot in robots if robot not in fleet.ids]
+        if unknown or len(set(robots)) < len(robots):
+            raise StartError(f"--with: {f'there is no robot {unknown[0]}' if unknown else 'a robot twice'}")
+        writing = [log, *(logger(f"robot {robot}", "plant", _log_of(robot)) for robot in robots[1:])]
+        backends = [make(fleet, robot, clock, log) for robot, log in zip(robots, writing, strict=True)]
+        nodes = [PlantNode(fleet, *each) for each in zip(robots, backends, strict=True)]
+        pool = PlantPool(nodes, writing)
+
+        def close() -> None:
+            for backend in backends:
+                backend.close()
+
+        agents = [fleet.agent_near(robot) for robot in robots]
+        return Start(pool, (), agents, close, partial(PoolTicks, pool), robots[1:])
+
+    def _log_of(robot: int) -> Path | None:
+        return None if logs is None else logs / log_name(robot, "plant")
 
     return process_main(argv, program, "plant", start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 from agent.common import random_streams
@@ -27,7 +28,20 @@ class Ticked(Protocol):
     def phase_ns(self) -> int: ...
 
     @property
-    def alive_key(self) -> str: ...
+    def alive_keys(self) -> Sequence[str]: ...
+
+
+class Deadlines(Protocol):
+    """When whatever a loop drives ticks; members as those of `Ticks`."""
+
+    due_ns: int
+
+    @property
+    def epoch_ns(self) -> int | None: ...
+
+    def take(self, now_ns: int) -> tuple[int, int, int]: ...
+
+    def plan(self, tick_ns: int) -> None: ...
 
 
 class Ticks:
@@ -36,6 +50,7 @@ class Ticks:
     What drives a node waits until `due_ns`, asks `take` which time to tick it with, ticks it, calls `plan`.
 
     Args:
+        node: of one robot.
         now_ns: the node's clock now; its first deadline is the next of the grid.
 
     Attributes:
@@ -46,7 +61,7 @@ class Ticks:
         self._plan: Final = node.plan
         self._node, self._period_ns, self._phase_ns = node, node.period_ns, node.phase_ns
         self._round_ns: Final = node.period_ns
-        robot, role = key_expressions.robot_of_alive(node.alive_key) or (0, "")
+        robot, role = key_expressions.robot_of_alive(node.alive_keys[0]) or (0, "")
         self._robot = robot
         self._stream = random_streams.stream(self._plan.seed, "tick", robot, role)
         self._chosen = random_streams.stream(self._plan.seed, "tick share", robot, role)

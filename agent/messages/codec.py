@@ -35,7 +35,7 @@ from agent.messages.validation import HEAD, Malformed, Taker, omitted, shown, ta
 TYPE_OF: Final = {cls: number for number, cls in enumerate(CLASSES)}
 _FEWEST: Final = {cls: len(cls._fields) - len(rest) for cls in CLASSES if (rest := omitted(cls))}
 _takers: dict[int, Taker] = {}
-"""By the number of the class; each is made when the first of its messages comes."""
+"""By the number of the class; each is made when the first of its messages comes, or by `be_ready`."""
 _STATUS_VALUES_MAX: Final = 2048
 
 
@@ -120,6 +120,14 @@ def decode(payload: bytes) -> Message:
         raise _other_version(version)
     take = _takers.get(number) if type(number) is int else None
     return take(array) if take is not None else _taker(number)(array)
+
+
+def be_ready() -> None:
+    """Makes now what `decode` would make with the first message of each class: for all processes that are
+    forked from this one, which would all do so in one tick of a drive that begins. It takes some 5 ms for a
+    class."""
+    for number in range(len(CLASSES)):
+        _taker(number)
 
 
 def _taker(number: Any) -> Taker:

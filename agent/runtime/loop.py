@@ -9,7 +9,7 @@ from typing import Final
 
 from agent.common.time import NS_PER_S, Clock
 from agent.common.wording import printable
-from agent.links.ticks import Ticks
+from agent.links.ticks import Deadlines, Ticks
 from agent.messages import key_expressions
 from agent.messages.codec import decode, head
 from agent.messages.types import Stop
@@ -127,6 +127,7 @@ def loop(
     keeper: OrderKeeper | None = None,
     gate: Gate | None = None,
     names: Mapping[str, str] | None = None,
+    ticks_from: Callable[[int], Deadlines] | None = None,
 ) -> None:
     """Ticks `node` at absolute deadlines (`agent.links.ticks.Ticks`) until it was asked to end and is done.
 
@@ -135,8 +136,9 @@ def loop(
 
     Args:
         names: of whoever is at an endpoint.
+        ticks_from: when the node ticks from a time on, ns, where it is not of one robot.
     """
-    ticks = Ticks(node, clock.now_ns())
+    ticks = Ticks(node, clock.now_ns()) if ticks_from is None else ticks_from(clock.now_ns())
     end_by_ns: int | None = None
     # Not in one tick: each of them touches much that has left the caches since it was looked at last.
     gate_due_ns = ticks.due_ns

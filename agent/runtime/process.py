@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from agent.common.time import Clock
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
+from agent.links.ticks import Deadlines
 from agent.messages import key_expressions
 from agent.node import Node
 from agent.runtime.bus import Bus, BusError
@@ -39,12 +40,19 @@ class StartError(RuntimeError):
 
 
 class Start(NamedTuple):
-    """What a process serves: the endpoints to listen on and to connect to; `close` is called at its end."""
+    """What a process serves: the endpoints to listen on and to connect to; `close` is called at its end.
+
+    Attributes:
+        ticks_from: when the node ticks from a time on, ns, where it is not of one robot (`loop`).
+        beside: robots whose process it is as well.
+    """
 
     node: Node
     listen: Sequence[str]
     connect: Sequence[str]
     close: Callable[[], None] = lambda: None
+    ticks_from: Callable[[int], Deadlines] | None = None
+    beside: Sequence[int] = ()
 
 
 def names_of(fleet: Fleet, robot: int) -> dict[str, str]:
@@ -66,7 +74,8 @@ def appear(node: Node, bus: Bus, clock: Clock, keeper: OrderKeeper | None) -> No
     bus.listen(node.subscriptions)
     if keeper is not None:
         keeper.recall(clock.now_ns())
-    bus.announce(node.alive_key)  # from here on others may count on being heard
+    for key in node.alive_keys:
+        bus.announce(key)  # from here on others may count on being heard
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()
@@ -91,11 +100,23 @@ def robot_arguments(program: str, description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def logger(whose: str, role: str) -> Log:
-    """Writes lines of a process's log. Others' words may be in them: these move no terminal's cursor."""
+def log_name(robot: int, role: str) -> str:
+    """The name of the log of a robot's process."""
+    return f"robot-{robot}-{role}.log"
+
+
+def logger(whose: str, role: str, path: Path | None = None) -> Log:
+    """Writes lines of a process's log. Others' words may be in them: these move no terminal's cursor.
+
+    Args:
+        path: the file that they are added to; None, or where that cannot be written: standard error.
+    """
 
     def log(text: str) -> None:
         lines = "\n".join(map(printable, text.split("\n")))
+        with suppress(OSError), nullcontext(sys.stderr) if path is None else open(path, "a") as file:
+            print(f"{whose} {role}: {lines}", file=file, flush=True)
+            return
         print(f"{whose} {role}: {lines}", file=sys.stderr, flush=True)
 
     return log
@@ -170,7 +191,8 @@ def _run(
     if shutdown.asked:
         return False
     clock = RealClock(*FaultPlan(fleet).clock(options.robot))
-    node, listen, connect, close = start(fleet, options.robot, clock, log)
+    node, listen, connect, close, ticks_from, beside = start(fleet, options.robot, clock, log)
+    robots = options.robot, *beside
     node.runs_by(clock.machine)
     try:
         with (
@@ -181,7 +203,7 @@ def _run(
                 log,
                 listen=listen,
                 connect=connect,
-                near=key_expressions.near(fleet.fleet.name, options.robot),
+                near={key for robot in robots for key in key_expressions.near(fleet.fleet.name, robot)},
                 go_on_waiting=waiting,
             ) as bus,
             _store(options, role, log) as store,
@@ -193,7 +215,8 @@ def _run(
             with Gate(len(fleet.robots)) as gate:
                 if gate.trouble:
                     log(gate.trouble)
-                loop(node, bus, clock, shutdown, log, service, keeper, gate, names_of(fleet, options.robot))
+                names = names_of(fleet, options.robot)
+                loop(node, bus, clock, shutdown, log, service, keeper, gate, names, ticks_from)
             _say_rejected(node, log)
             bus.leave()
             return True

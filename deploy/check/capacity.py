@@ -17,6 +17,7 @@ from agent.fleet.model import Fleet
 from deploy.check.check import check
 from deploy.check.finding import Finding
 from deploy.check.network import STATUS_HZ, load_of
+from deploy.check.sharing import sharing
 
 ROBOTS_MIN: Final = 13
 """Smaller fleets are not looked at: they fit."""
@@ -25,12 +26,13 @@ AGENT_TICK_S: Final = 0.36e-3
 MESH_TICK_S: Final = 0.35e-3
 AGENT_MESSAGE_S: Final = 38e-6
 PLANT_TICK_S: Final = 0.34e-3
+SHARED_TICK_S: Final = 0.08e-3
 ROUTER_MESSAGE_S: Final = 15e-6
 RECORDED_S: Final = 70e-6
 """Processor time, s, Zenoh's part in it. Of an agent for a second at any rate (it looks who is near, tells
 its status, keeps its links alive), for a round of its loop, so much more where it says what it says to each
-of the others, and for a message that it hears; of a plant for a round; of a router for a message that it
-passes on; of `run` for one that it records."""
+of the others, and for a message that it hears; of a plant for a round, and of one that shares its process
+(`deploy.check.sharing`); of a router for a message that it passes on; of `run` for one that it records."""
 AGENT_COMPILED: Final = 0.66
 PLANT_COMPILED: Final = 0.85
 RUN_COMPILED: Final = 0.87
@@ -92,10 +94,12 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
     recorded = count * (3.0 * rate + rate / fleet.beacon_rounds_max + STATUS_HZ)
     routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
+    shared = sum(map(len, sharing(fleet))) / n
+    plant_s = shared * SHARED_TICK_S + (1.0 - shared) * PLANT_TICK_S
     tick_s = AGENT_TICK_S + (0.0 if fleet.is_routed else MESH_TICK_S)
     cost = Cost(
         AGENT_S + tick_s * rate + AGENT_MESSAGE_S * heard,
-        PLANT_TICK_S * rate,
+        plant_s * rate,
         ROUTER_MESSAGE_S * routed,
         RECORDED_S * recorded,
         count,

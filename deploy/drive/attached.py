@@ -33,6 +33,7 @@ class Attached:
         self.names: Final = {
             (robot, role): f"robot {robot}'s {role}" for robot in fleet.ids for role in ROLES
         }
+        self.count: Final = len(self.names)
         self._away: list[str] = []
         self._ids = fleet.ids
         self._records = fleet.recording.enabled and any(robot.host is not None for robot in fleet.robots)

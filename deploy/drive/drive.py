@@ -139,7 +139,7 @@ class Drive:
             if not missing and not alive:
                 alive = True
                 alive_s = time.monotonic() - self._processes.begun_s
-                self._view.say(f"all {len(names)} processes alive after {alive_s:.2f} s")
+                self._view.say(f"all {self._processes.count} processes alive after {alive_s:.2f} s")
             fleet_state.ask()
             now_ns = self._clock.now_ns()
             refusals = self._checks.refusals(now_ns)

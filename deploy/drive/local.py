@@ -86,7 +86,7 @@ class LocalRun:
                     self.reasons = drive.reasons
                     drive.run()
             finally:
-                timeout_s = END_TIMEOUT_S + END_EACH_S * len(self._processes.names)
+                timeout_s = END_TIMEOUT_S + END_EACH_S * self._processes.count
                 for child in self._processes.end(timeout_s):
                     self._view.say(f"{child.name} did not end when asked and was killed")
 
@@ -112,8 +112,9 @@ class LocalRun:
     def _say_start(self) -> None:
         count = len(self._fleet.robots)
         self._view.say(
-            f"starting {count} agents and {count} plants on ports {self._fleet.network.base_port} to "
-            f"{self._fleet.network.base_port + 2 * count - 1}{self._through()}"
+            f"starting {count} agents and {count} plants{self._processes.says_sharing} on ports "
+            f"{self._fleet.network.base_port} to {self._fleet.network.base_port + 2 * count - 1}"
+            f"{self._through()}"
         )
 
     def _through(self) -> str:

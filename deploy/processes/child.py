@@ -25,6 +25,11 @@ def environment() -> dict[str, str]:
     return os.environ | ONE_THREAD
 
 
+def name_of(robot: int, role: str) -> str:
+    """How one of a robot's processes is called."""
+    return f"robot {robot}'s {role}"
+
+
 class Child:
     """One process of one robot, a process group of its own so that a Ctrl-C reaches only its starter.
 
@@ -36,6 +41,7 @@ class Child:
         log: where its output goes, after what is there.
         server: has it forked, where that can be had.
         name: how it is called, unless it is one of the robot's.
+        for_many: many robots wait for it, not one.
     """
 
     def __init__(
@@ -47,12 +53,16 @@ class Child:
         log: Path,
         server: ForkServer | None = None,
         name: str = "",
+        *,
+        for_many: bool = False,
     ) -> None:
         self.robot, self.role, self.log = robot, role, log
-        self.name = name or f"robot {robot}'s {role}"
+        self.name = name or name_of(robot, role)
         arguments = [*arguments, "--exit-with-parent"]
         with open(log, "ab") as output:
-            forked = None if server is None else server.start(module, arguments, output.fileno())
+            forked = None
+            if server is not None:
+                forked = server.start(module, arguments, output.fileno(), for_many=for_many)
             self._process = forked or subprocess.Popen(
                 words_of(module, arguments),
                 stdin=subprocess.DEVNULL,

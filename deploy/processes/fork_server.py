@@ -30,6 +30,7 @@ from typing import Any, Final, NamedTuple
 
 from agent.common.errors import Error
 from agent.fleet.plants import DEFAULT, KINDS
+from agent.messages import codec
 from agent.runtime import preloaded
 from deploy.processes import command_line, scheduling
 from deploy.processes.command_line import ROOM, words_of
@@ -154,7 +155,7 @@ class Server:
         if pid == 0:
             os.close(starting)
             preloaded.on_start(partial(os.close, has_started))
-            if self._yields:
+            if self._yields and not request["for_many"]:
                 preloaded.on_start(scheduling.yield_once_started)
             self._become(forked, log)
             os.write(has_started, b".")
@@ -243,6 +244,7 @@ def main() -> None:
     gc.disable()
     for module in PRELOADED:
         _program(module)
+    codec.be_ready()
     if not can_fork():
         return
     gc.collect()

@@ -91,12 +91,15 @@ class ForkServer:
         if self._can_be_asked():
             self._ask({"yields": True})
 
-    def start(self, module: str, arguments: Sequence[str], log: int) -> ForkedProcess | None:
+    def start(
+        self, module: str, arguments: Sequence[str], log: int, *, for_many: bool = False
+    ) -> ForkedProcess | None:
         """A process that is as ``python -P -m MODULE ARGUMENTS``, in a process group of its own; None where
         it cannot be had.
 
         Args:
             log: where its output goes, an open file.
+            for_many: robots wait for it: it leaves them no more once it has started than before (`yields`).
 
         Raises:
             OSError: the system has no room for another process.
@@ -104,7 +107,8 @@ class ForkServer:
         if command_line.room(words_of(module, arguments)) > ROOM or not self._can_be_asked():
             return None
         self._count += 1
-        self._ask({"number": self._count, "module": module, "arguments": list(arguments)}, [log])
+        what = {"module": module, "arguments": list(arguments), "for_many": for_many}
+        self._ask({"number": self._count, **what}, [log])
         while (answer := self._next(None)) is not None:
             message, handles = answer
             if "errno" in message:

@@ -14,8 +14,11 @@ from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.runtime.order_store import order_file
+from agent.runtime.process import log_name
+from deploy.check.sharing import sharing
+from deploy.console.wording import robots
 from deploy.faults.process_actions import Action, Process
-from deploy.processes.child import Child, end_all
+from deploy.processes.child import Child, end_all, name_of
 from deploy.processes.forking import ForkServer
 from deploy.processes.placement import Vehicle
 
@@ -58,6 +61,10 @@ class Processes:
             [(robot, role) for robot in fleet.ids for role in ROLES] if processes is None else processes
         )
         self._look, self._orders, self._server = look, orders, server
+        self._shares: dict[Process, Process] = {}
+        """Under which process one is found that has none of its own."""
+        for part in sharing(fleet) if processes is None else ():
+            self._shares.update(((robot, "plant"), (part[0], "plant")) for robot in part)
         self.ours: Final = True
         self.begun_s = time.monotonic()
         self._children: dict[Process, Child] = {}
@@ -71,7 +78,11 @@ class Processes:
             simulator = self._fleet.robot(vehicle.robot).kind.simulator
             self._run(vehicle.robot, VEHICLE, simulator, vehicle.arguments)
         for robot, role in self._wanted:
-            self._start(robot, role, None)
+            if (robot, role) not in self._shares:
+                self._start(robot, role, None)
+        # They connect to their agents, which are there by now.
+        for first in dict.fromkeys(self._shares.values()):
+            self._start(*first, None)
 
     def start_routers(self) -> None:
         """Starts the fleet's routers, if it has any, and waits until they listen: a client is not to find
@@ -111,20 +122,43 @@ class Processes:
             arguments.append(f"--pose={pose.x!r},{pose.y!r},{pose.heading!r}")
         if role == "plant" and kind.vehicle and self._look:
             arguments.append("--look")
-        self._run(robot, role, module, arguments)
+        name = ""
+        process = robot, role
+        if beside := [each for (each, _), first in self._shares.items() if first == process != (each, role)]:
+            arguments += [
+                f"--with={','.join(map(str, beside))}",
+                f"--logs={self._log(log_name(*process)).parent.resolve()}",
+            ]
+            name = f"the plants of {robots([robot, *beside])}"
+        self._run(robot, role, module, arguments, name)
 
-    def _run(self, robot: int, role: str, module: str, arguments: Sequence[str]) -> None:
-        log = self._log(f"robot-{robot}-{role}.log")
-        self._children[robot, role] = Child(robot, role, module, arguments, log, self._server)
+    def _run(self, robot: int, role: str, module: str, arguments: Sequence[str], name: str = "") -> None:
+        log = self._log(log_name(robot, role))
+        self._children[robot, role] = Child(
+            robot, role, module, arguments, log, self._server, name, for_many=bool(name)
+        )
 
     @property
     def names(self) -> dict[Process, str]:
-        """The name of every process that is on the bus, in the order of the start."""
-        return {process: self._children[process].name for process in self._wanted}
+        """The name of every agent and plant that is on the bus, in the order of the file."""
+        return {process: name_of(*process) for process in self._wanted}
+
+    @property
+    def says_sharing(self) -> str:
+        """How many plants share how many processes, as part of a sentence; "" where none do."""
+        processes = len(set(self._shares.values()))
+        several = "es" * (processes != 1)
+        return f", {len(self._shares)} of them in {processes} process{several}," if self._shares else ""
+
+    @property
+    def count(self) -> int:
+        """How many processes they are."""
+        return len(self._wanted) - len(self._shares) + len(set(self._shares.values()))
 
     def up(self, robot: int, role: str) -> bool:
         """Whether a process should run: it has neither been killed by a rule nor died."""
-        return (robot, role) not in self._killed | self._dead
+        process = robot, role
+        return self._shares.get(process, process) not in self._killed | self._dead
 
     def look(self, present: Collection[Process], time_s: float | None) -> list[str]:
         """Nothing is to be said of tokens: how its children end is known better (`deploy.drive.drive`)."""

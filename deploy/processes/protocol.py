@@ -24,6 +24,7 @@ class FleetProcesses(Protocol):
 
     Attributes:
         names: all agents and plants, and how each is called.
+        count: of how many processes they are.
         ours: whether they end with the drive: then one that dies ends it, and it ends with a stop in any
             case. Others' are left as they were found when no mission was given.
         begun_s: since when they are started, or waited for (monotonic clock, s).
@@ -31,6 +32,9 @@ class FleetProcesses(Protocol):
 
     @property
     def names(self) -> Mapping[Process, str]: ...
+
+    @property
+    def count(self) -> int: ...
 
     @property
     def ours(self) -> bool: ...

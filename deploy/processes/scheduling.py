@@ -8,7 +8,7 @@ leaves a router of a hundred robots with one share of two hundred; so all are in
 as they would be in one control group of a desktop, and robots are nicer than who serves them all: where a
 hundred of them have more to do than there is time for, a router with three times the share of each still has
 3 % of a processor, and nobody hears anybody. Those that still start are less nice than those that wait for
-them.
+them, and so is the process of many bodies, all the time.
 """
 
 from __future__ import annotations

@@ -15,6 +15,8 @@ from deploy.faults.process_actions import Process
 
 PROC: Final = Path("/proc")
 RUNS, PAUSED = "active", "paused"
+WITH: Final = "--with="
+"""How the option of `plant` begins that names more robots."""
 _STOPPED: Final = ("T", "t")
 
 
@@ -31,7 +33,7 @@ class ProcessState(NamedTuple):
 
 def fleet_processes(fleet: Fleet, fleet_file: Path) -> dict[Process, ProcessState]:
     """This user's agents and plants that read this fleet file."""
-    found = {}
+    found: dict[Process, ProcessState] = {}
     for folder in PROC.glob("[0-9]*"):
         # One that ends meanwhile, or is another user's, is none.
         with suppress(OSError, ValueError, LookupError):
@@ -43,8 +45,15 @@ def fleet_processes(fleet: Fleet, fleet_file: Path) -> dict[Process, ProcessStat
                 continue
             robot, module = int(_after(words, "--robot")), _after(words, "-m")
             roles = {"agent": "agent", fleet.robot(robot).kind.program: "plant"}
-            found[robot, roles[module]] = process_state(int(folder.name))
+            state = process_state(int(folder.name))
+            found.update(((each, roles[module]), state) for each in (robot, *_beside(words)))
     return found
+
+
+def _beside(words: Sequence[str]) -> list[int]:
+    """The robots whose plants share a process, after the first."""
+    given = next((word for word in words if word.startswith(WITH)), WITH)
+    return [int(part) for part in given.removeprefix(WITH).split(",") if part]
 
 
 def state_of(pid: int) -> str:

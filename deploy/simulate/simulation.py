@@ -145,7 +145,7 @@ class _Host:
         self._heard: Sequence[str] = ()
         self._listen()
         self._changes = deque((now_ns, key, True) for key in sorted(self._bus.tokens) if self._watches(key))
-        self._bus.announce(node.alive_key, now_ns + LATENCY_NS, here=True)
+        self._bus.announce(node.alive_keys[0], now_ns + LATENCY_NS, here=True)
         self._local = self._wrong
         self._ticks = Ticks(node, self._local.local_ns(now_ns) - 1)
         self._plan(now_ns)
@@ -155,7 +155,7 @@ class _Host:
         self.life += 1
         self._bus.forget(self)
         self.rings = {}
-        self._bus.announce(self.node.alive_key, now_ns + LATENCY_NS, here=False)
+        self._bus.announce(self.node.alive_keys[0], now_ns + LATENCY_NS, here=False)
 
     def pause(self) -> None:
         self.paused = True
@@ -164,12 +164,12 @@ class _Host:
     def lapse(self, life: int, now_ns: int) -> None:
         """Ends the liveliness lease of a paused process: if it is paused still (`life`), others see it go."""
         if self.paused and self.life == life:
-            self._bus.announce(self.node.alive_key, now_ns, here=False)
+            self._bus.announce(self.node.alive_keys[0], now_ns, here=False)
 
     def resume(self, now_ns: int) -> None:
         """Lets a paused process go on: at once if it has slept through a tick."""
         self.paused = False
-        self._bus.announce(self.node.alive_key, now_ns + LATENCY_NS, here=True)
+        self._bus.announce(self.node.alive_keys[0], now_ns + LATENCY_NS, here=True)
         self._plan(now_ns)
 
     def _listen(self) -> None:

@@ -76,7 +76,7 @@ def start_bare(
                 "connect": connect,
                 "subscribe": list(node.subscriptions),
                 "publish": publications(node),
-                "alive": node.alive_key,
+                "alive": node.alive_keys[0],
                 "period_ns": node.period_ns,
                 "phase_ns": node.phase_ns,
                 "config": {},

@@ -46,7 +46,7 @@ class Field:
                 return
             sender = _robot(key) in self._cut_off
             for host, ring in chain.from_iterable(rings.items() for rings in heard_by(key)):
-                if (_robot(host.node.alive_key) in self._cut_off) is sender:
+                if (_robot(host.node.alive_keys[0]) in self._cut_off) is sender:
                     ring.append((arrival_ns, key, payload))
 
         self.simulation._bus.put = passes  # type: ignore[method-assign]

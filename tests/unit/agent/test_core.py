@@ -70,7 +70,7 @@ def test_keys_are_those_of_its_neighbours_and_its_own_plant():
         HAND, WRENCH, STATUS, BEACON, TOLD, "two/robot/1/links", "two/robot/1/faults",
     }  # fmt: skip
     assert agent.watched == ("two/alive/robot/*/agent",)
-    assert agent.alive_key == key_expressions.alive("two", 1, "agent")
+    assert agent.alive_keys == (key_expressions.alive("two", 1, "agent"),)
     assert (agent.period_ns, agent.phase_ns) == (PERIOD, PERIOD // 2)
 
 

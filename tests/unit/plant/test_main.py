@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,9 +17,10 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission
 from agent.runtime.clock import RealClock
+from agent.runtime.process import StartError
 from deploy.console.data_files import FLEETS
 from plant import server
-from plant.__main__ import place
+from plant.__main__ import main, place
 from plant.unicycle import from_fleet
 
 
@@ -51,3 +54,67 @@ def test_a_plant_knows_the_mission_of_its_fleet_however_that_is_written(
     mission = Mission(1, NS_PER_S, 2 * NS_PER_S, NS_PER_S, digest(whole))
     node.receive(NS_PER_S, key_expressions.mission(fleet.fleet.name), encode(mission))
     assert not node.rejected
+
+
+PLACE = "--with: a place is one body's; let each start where the fleet file has it"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--with=1,a"], "argument --with: must be numbers of robots such as 2,3,4, got '1,a'"),
+        (["--with="], "argument --with: must be numbers of robots such as 2,3,4, got ''"),
+        (
+            ["--with=2", "--pose=1,2,3"],
+            PLACE,
+        ),
+        (
+            ["--with=2", "--pose-file=x"],
+            PLACE,
+        ),
+    ],
+)
+def test_several_bodies_are_named_by_numbers_and_start_where_the_file_has_them(
+    options: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--fleet", "fleet.toml", "--robot", "1", *options])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.rstrip().endswith(f"python -m plant: error: {says}")
+
+
+@pytest.mark.parametrize(
+    ("settings", "beside", "says"),
+    [
+        ([], [2], "the plants of several robots share a process only behind a router"),
+        (['network.routers=["127.0.0.1:9"]'], [2, 9], "--with: there is no robot 9"),
+        (['network.routers=["127.0.0.1:9"]'], [2, 1], "--with: a robot twice"),
+    ],
+)
+def test_several_bodies_are_those_of_other_robots_behind_a_router(
+    settings: list[str], beside: list[int], says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[Any] = []
+    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[-1]) or 0)
+    server.main([], "python -m plant", lambda given, robot, *_: from_fleet(given, robot), beside)
+    with pytest.raises(StartError, match=f"^{re.escape(says)}$"):
+        started[0](resolved(load_fleet(FLEETS / "pair.toml", settings)), 1, RealClock(), print)
+
+
+def test_several_bodies_write_a_log_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    started: list[Any] = []
+    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[-1]) or 0)
+    server.main([], "python -m plant", lambda given, robot, *_: from_fleet(given, robot), [2], tmp_path)
+    fleet = resolved(load_fleet(FLEETS / "pair.toml", ['network.routers=["127.0.0.1:9"]']))
+    said: list[str] = []
+    start = started[0](fleet, 1, RealClock(), said.append)
+    assert (start.listen, start.connect) == ((), [fleet.agent_near(1), fleet.agent_near(2)])
+    assert start.beside == [2]
+    ticks = start.ticks_from(0)
+    ticks.take(ticks.due_ns)
+    start.node.tick(ticks.due_ns)
+    assert said == ["braking: no wrench yet"]
+    assert (tmp_path / "robot-2-plant.log").read_text() == "robot 2 plant: braking: no wrench yet\n"
+    assert capsys.readouterr().err == ""

@@ -115,7 +115,7 @@ def test_keys_and_ticks(node: PlantNode):
     assert node.subscriptions == (STOP_KEY, RESUME_KEY, TOLD_KEY, WRENCH_KEY, MISSION_KEY, "two/faults")
     links = "two/robot/1/plant/links"
     assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, links, "two/robot/1/plant/faults")
-    assert node.alive_key == key_expressions.alive("two", 1, "plant") == "two/alive/robot/1/plant"
+    assert node.alive_keys == (key_expressions.alive("two", 1, "plant"),) == ("two/alive/robot/1/plant",)
     assert (node.period_ns, node.phase_ns) == (PERIOD, 0)
     agents = Agent(resolved(fleet()), 1).publications
     assert {*node.publications, *agents} == set(key_expressions.published("two", 1))  # what links let through

@@ -93,9 +93,9 @@ def server() -> Iterator[ForkServer]:
         yield made
 
 
-def start(server: ForkServer, log: Path, *arguments: str) -> ForkedProcess:
+def start(server: ForkServer, log: Path, *arguments: str, for_many: bool = False) -> ForkedProcess:
     with open(log, "ab") as output:
-        made = server.start("trivial", arguments, output.fileno())
+        made = server.start("trivial", arguments, output.fileno(), for_many=for_many)
     assert made is not None
     return made
 
@@ -136,6 +136,9 @@ def test_all_that_is_forked_can_be_told_to_yield(server: ForkServer, tmp_path: P
     started = start(server, tmp_path / "started", "start", str(tmp_path))
     more = max(own, STARTING) + YIELDING - STARTING
     wait_for(lambda: scheduled(started.pid) == (os.SCHED_BATCH, min(19, more)))
+    many = start(server, tmp_path / "many", "start", str(tmp_path), for_many=True)
+    wait_for(lambda: waiting(tmp_path / "many"))
+    assert scheduled(many.pid) == (os.SCHED_BATCH, max(own, STARTING)), "robots wait for it"
 
 
 def test_a_fork_has_nothing_of_the_server(server: ForkServer, tmp_path: Path) -> None:

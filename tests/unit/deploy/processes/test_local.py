@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,11 @@ import pytest
 
 from agent.control.hand import Pose
 from agent.control.law_plugin import Law, Moment
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
+from deploy.analysis.lattice import lattice as grid
+from deploy.check.sharing import sharing
 from deploy.console.data_files import FLEETS
 from deploy.faults.process_actions import Action
 from deploy.processes import local
@@ -35,7 +38,10 @@ class Child:
         log: Path,
         server: Any = None,
         name: str = "",
+        *,
+        for_many: bool = False,
     ) -> None:
+        self.for_many = for_many
         self.server = server
         self.robot, self.role, self.module, self.arguments, self.log = robot, role, module, arguments, log
         self.name = name or f"robot {robot}'s {role}"
@@ -235,3 +241,61 @@ def test_a_fork_server_reads_no_fleet_with_plugins(settings: list[str]) -> None:
     Processes(load_fleet(FLEETS / "pair.toml", settings), Path("fleet.toml"), Path, server=server).start()
     assert started
     assert server.read == []
+
+
+def lattice(n: int, rate_hz: float, *overrides: str) -> Fleet:
+    fleet = parse_fleet(grid(f"grid{n}", n, rate_hz=rate_hz), source="here", overrides=overrides)
+    network = replace(fleet.network, routers=("127.0.0.1:9000",))  # which placement gives it
+    return replace(fleet, network=network)
+
+
+RULE = "faults.rule=[{%s}]"
+
+
+@pytest.mark.parametrize(
+    ("fleet", "shared"),
+    [
+        (lattice(24, 10.0), []),
+        (lattice(25, 10.0), [range(1, 26)]),
+        (lattice(100, 10.0), [range(1, 51), range(51, 101)]),
+        (lattice(110, 10.0), [range(1, 38), range(38, 75), range(75, 111)]),
+        (lattice(100, 4.0), [range(1, 101)]),
+        (lattice(30, 10.0, RULE % "name='a',robot=7,kill='plant',at=1"), [[*range(1, 7), *range(8, 31)]]),
+        (lattice(30, 10.0, RULE % "name='a',robot=7,kill='agent',at=1"), [range(1, 31)]),
+        (lattice(30, 10.0, RULE % "name='a',robot=7,clock_skew=0.1"), [[*range(1, 7), *range(8, 31)]]),
+        (lattice(30, 10.0, RULE % "name='a',clock_drift=0.001"), []),
+        (lattice(30, 10.0, "robot.3.plant=plant.backend:Plant"), [[1, 2, *range(4, 31)]]),
+    ],
+)
+def test_bodies_share_a_process_in_a_large_fleet_where_nothing_is_done_to_it(
+    fleet: Fleet, shared: list[Sequence[int]]
+) -> None:
+    assert sharing(fleet) == [tuple(part) for part in shared]
+
+
+def test_a_large_fleet_without_a_router_or_with_names_of_processes_shares_nothing() -> None:
+    fleet = lattice(30, 10.0)
+    assert sharing(replace(fleet, network=replace(fleet.network, topology="mesh"))) == []
+    Processes(fleet, Path("fleet.toml"), Path, processes=[(3, "plant"), (4, "plant")]).start()
+    assert [child.arguments[2:] for child in started if child.role == "plant"] == [
+        ["--robot", "3"], ["--robot", "4"],
+    ]  # fmt: skip
+
+
+def test_who_shares_a_process_starts_after_the_agents_and_is_known_by_its_own_name() -> None:
+    made = Processes(lattice(26, 10.0), Path("fleet.toml"), Path("/logs").joinpath)
+    made.start()
+    *agents, pool = (child for child in started if child.role != "router")
+    assert [child.role for child in agents] == ["agent"] * 26
+    assert pool.arguments == [
+        "--fleet", "fleet.toml", "--robot", "1", f"--with={','.join(map(str, range(2, 27)))}", "--logs=/logs",
+    ]  # fmt: skip
+    assert [child.for_many for child in (*agents, pool)] == [False] * 26 + [True]
+    assert (pool.name, pool.log) == ("the plants of 26 robots (1-26)", Path("/logs/robot-1-plant.log"))
+    assert made.names[17, "plant"] == "robot 17's plant"
+    assert (len(made.names), made.count) == (52, 27)
+    assert made.up(17, "plant")
+    pool.how = "killed by SIGKILL"
+    assert [(child.name, how) for child, how in made.deaths()] == [(pool.name, "killed by SIGKILL")]
+    assert not made.up(17, "plant")
+    assert made.up(17, "agent")

@@ -74,6 +74,20 @@ def test_those_that_read_the_fleet_file(robots: dict[str, Pretender], tmp_path: 
     assert 1e5 < state.memory_bytes < 1e9
 
 
+def test_the_plants_that_share_a_process_are_each_there(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.toml"
+    words = "-m", "plant", "--fleet", str(file), "--robot", "1", "--orders", "x", "--with=2", "--logs=/x"
+    pool = Pretender(tmp_path, *words)
+    try:
+        pool.there()
+        found = fleet_processes(FLEET, file)
+    finally:
+        pool.end()
+    assert {process: state.pid for process, state in found.items()} == {
+        (1, "plant"): pool.process.pid, (2, "plant"): pool.process.pid,
+    }  # fmt: skip
+
+
 def test_one_that_is_paused_and_one_that_has_ended(robots: dict[str, Pretender], tmp_path: Path) -> None:
     process = robots["1 agent"].process
     process.send_signal(signal.SIGSTOP)
