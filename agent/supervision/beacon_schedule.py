@@ -64,9 +64,11 @@ class BeaconSchedule:
         self.level = 0
         self.stands = False
         self.tick_ns = fleet.period_ns
-        # Others for each, else all that hurried once for the same reason do so again in one tick.
+        # Others for each, else all that hurried once for the same reason do so again in one tick; and each has
+        # its share of the first pause behind it at the start, when as many begin to miss each other at once.
         self._pause_ns: Final = round((0.5 + shares[1]) * len(fleet.robots) * NS_PER_S / HURRIES_HZ)
-        self._hurried_ns, self._is_missed = -self._pause_ns, False
+        self._first_pause_ns: Final = round(shares[0] * self._pause_ns)
+        self._hurried_ns, self._is_missed = 0, False
         all_s = len(fleet.robots) / ORDERS_HZ * max(1.0, len(fleet.robots) / ORDERS_ROBOTS)
         all_ns = min(round(all_s * NS_PER_S), most_ns) // least_ns * least_ns
         self._again_ns: Final = all_ns
@@ -95,6 +97,8 @@ class BeaconSchedule:
                 that is most of what a tick takes: so it is asked only where it may be said.
         """
         timer, now_ns, said = self._timer, beacon.time_ns, self._said
+        if said is None:
+            self._hurried_ns = now_ns - self._pause_ns + self._first_pause_ns
         hurries = now_ns - self._hurried_ns >= self._pause_ns
         if completed is not None and (said is None or hurries or not self.is_seldom):
             beacon, completed = completed(beacon), None

@@ -265,18 +265,18 @@ def test_more_robots_than_this_machine_carries_are_refused_with_what_fits(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("deploy.processes.machine.measured", lambda: Machine(2.0, 0.7))
     monkeypatch.setattr("deploy.processes.machine.PAUSE_S", 0.0)
-    assert main(["new", "many", "--lattice", "60"]) == 0
+    assert main(["new", "many", "--lattice", "90"]) == 0
     assert main(["run", "many.toml"]) == 2
     told = capsys.readouterr().err
     assert re.search(
-        r"many\.toml: not started: 60 robots at 10 Hz need about [\d.]+ cores, and this machine \(2 cores\) "
-        r"carries about \d+ robots like these at 10 Hz; all 60 fit at \d Hz: --set fleet\.rate_hz=\d .* "
+        r"many\.toml: not started: 90 robots at 10 Hz need about [\d.]+ cores, and this machine \(2 cores\) "
+        r"carries about \d+ robots like these at 10 Hz; all 90 fit at \d Hz: --set fleet\.rate_hz=\d .* "
         r"\(--no-check drives all the same\)\n$",
         told,
     ), told
     assert not (tmp_path / "runs").exists()
     assert main(["check", "many.toml"]) == 0
-    assert "warning: fleet.rate_hz: `handfast run` refuses it here: 60 robots" in capsys.readouterr().out
+    assert "warning: fleet.rate_hz: `handfast run` refuses it here: 90 robots" in capsys.readouterr().out
 
 
 def test_nothing_is_measured_for_a_small_fleet_or_one_on_hosts(
