@@ -7,25 +7,28 @@ those of docs/theory.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import hypot
 from typing import Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
+from agent.control.caution import TURNED
 from agent.control.couplings import Constraint
-from agent.control.detour import LEAVING, Blocker
+from agent.control.detour import LEAVING, SPEED_MIN, Blocker
 from agent.control.gains import gains_of, one_sided
 from agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peer import Peer
 from agent.control.peers.peers import Peers
-from agent.control.peers.prediction import Prediction
+from agent.control.peers.prediction import Prediction, coasting
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import acceleration_max, barrier_rate
 from agent.fleet.model import Fleet
 from agent.formation.reference import Edge
+from agent.messages.types import HandState
 
 BESIDE: Final = 0.9
 """Share of the way from a body to the own place within which it may push."""
@@ -97,7 +100,8 @@ class ConstraintAssembly:
         if self._proximity.enabled:
             self._keep_clear(scene)
             if self._right_of_way.keep_out or self._right_of_way.keep_in:
-                scene.planes.extend(self._right_of_way.planes(own))
+                for plane in self._right_of_way.planes(own):  # others may drive there, or not
+                    scene.planes.extend(_pushing_last(plane, own, self._barrier_rate))
 
     def _constraint(
         self,
@@ -168,13 +172,27 @@ class ConstraintAssembly:
             rank=_rank(doubt, follows=message.following),
         )
         if late and plane.rank == safety_filter.SEPARATION and not peer.deaf:
-            # (F12): where it is by now is a guess, and it keeps away by itself. What braking gives can be met
-            # with all that is known, (F4), and is asked with it; what would drive this robot off, after it.
-            brakes = only_braking(plane, own, 1.0 / self._barrier_rate)
-            if brakes.least < plane.least:
-                scene.planes.append(plane._replace(rank=safety_filter.UNSURE))
-                plane = brakes
-        scene.planes.append(plane)
+            # (F12): where it is by now is a guess, and it keeps away by itself.
+            scene.planes.extend(_pushing_last(plane, own, self._barrier_rate))
+        else:
+            scene.planes.append(plane)
+        if message.following and _may_stand(message, late=late):
+            self._keep_from_where_it_was(scene, name, message, age_ns, gap, rho)
+
+    def _keep_from_where_it_was(
+        self, scene: Scene, name: str, message: HandState, age_ns: int, gap: float, rho: float
+    ) -> None:
+        """The half plane (F13) against a robot that stands where its message had it, and is predicted to be
+        further away, at `rho` m. It only brakes."""
+        own = scene.own
+        x, y = coasting(message, age_ns / NS_PER_S).position
+        dx, dy = own.x - x, own.y - y
+        near = gap + 2.0 * hypot(own.vx, own.vy) / self._barrier_rate  # further away it asks for nothing
+        if hypot(dx, dy) < min(rho, near):
+            plane = safety_filter.keep_apart(
+                name, (dx, dy), (own.vx, own.vy), _AT_REST, gap, self._barrier_rate, alone=True
+            )
+            scene.planes.append(only_braking(plane, own, 1.0 / self._barrier_rate))
 
     def _keep_from_belief(self, scene: Scene, peer: Peer) -> None:
         """The half planes against wherever a robot may be that is not heard.
@@ -187,7 +205,7 @@ class ConstraintAssembly:
             return
         own, name = scene.own, peer.name
         age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
-        velocity, speed, growing = (own.vx, own.vy), hypot(own.vx, own.vy), growth(age)
+        speed, growing = hypot(own.vx, own.vy), growth(age)
         depth, deepest = 0.0, None
         for stretch in belief.stretches:
             if stretch.after > age:
@@ -198,19 +216,14 @@ class ConstraintAssembly:
                 continue
             gap = self._safe_distance + self._margin + radius
             rank = safety_filter.UNSURE if radius >= DOUBT_MAX else safety_filter.SEPARATION
-            plane = safety_filter.keep_apart(
-                name,
-                (x, y),
-                velocity,
-                _AT_REST,
-                gap,
-                self._barrier_rate,
-                alone=True,
-                straight=not at_end,
-                rank=rank,
-                growth=growing,
-            )
+            plane = self._off_the_way(name, (x, y), own, gap, at_end, rank, growing)
             scene.planes.append(only_braking(plane, own))
+            if rank == safety_filter.UNSURE and rho < gap:
+                # How far it may be off that way is a guess, which gives way where others press (F12). The way
+                # itself is by what it said and the law: there a body stands, and those who press make way.
+                keep = gap - radius + stretch.radius
+                way = self._off_the_way(name, (x, y), own, keep, at_end, safety_filter.STANDING)
+                scene.planes.append(only_braking(way, own))
             if gap - rho > depth:
                 depth, deepest = gap - rho, plane
         if deepest is not None:
@@ -220,6 +233,30 @@ class ConstraintAssembly:
                 stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)
                 scene.stops.extend(stop)
                 scene.planes.extend(stop)
+
+    def _off_the_way(
+        self,
+        name: str,
+        offset: Vector,
+        own: hand.Hand,
+        gap: float,
+        at_end: bool,
+        rank: int,
+        growth: float = 0.0,
+    ) -> safety_filter.HalfPlane:
+        """Keeps `gap` away from a stretch, which is `offset` from the own hand, m."""
+        return safety_filter.keep_apart(
+            name,
+            offset,
+            (own.vx, own.vy),
+            _AT_REST,
+            gap,
+            self._barrier_rate,
+            growth=growth,
+            alone=True,
+            straight=not at_end,
+            rank=rank,
+        )
 
     def _unforeseen(self, age: float) -> float:
         """How much further to keep from a robot that a law of others drives, m, by the age of its message, s.
@@ -265,12 +302,30 @@ class ConstraintAssembly:
                 scene.planes.append(plane)
 
 
+def _may_stand(message: HandState, *, late: bool) -> bool:
+    """Whether a robot that follows the law may be held where it is: it stood, or made way for somebody."""
+    return hypot(message.vx, message.vy) < SPEED_MIN or (
+        late and hypot(message.correction_x, message.correction_y) > TURNED
+    )
+
+
 def _rank(doubt: float, *, follows: bool) -> int:
     """Of the half plane against a robot that is heard, whose place is so uncertain (m)."""
     if not follows:
         return safety_filter.STANDING
     # Where it is, nobody knows: those that are known come first.
     return safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
+
+
+def _pushing_last(
+    plane: safety_filter.HalfPlane, own: hand.Hand, rate: float
+) -> Iterator[safety_filter.HalfPlane]:
+    """The two parts of a half plane against what is not sure, (F12): what would drive the robot off, after
+    all that is known; and what braking at `rate` (1/s) gives, with it, for both can be met, (F4)."""
+    brakes = only_braking(plane, own, 1.0 / rate)
+    if brakes.least < plane.least:
+        yield plane._replace(rank=safety_filter.UNSURE)
+    yield brakes
 
 
 def only_braking(

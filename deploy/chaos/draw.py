@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 from agent.fleet.safety import BEACON_HORIZONS
 from deploy.chaos.dice import Dice, Tables
+from deploy.chaos.profiles.crowded import draw_crowded
 from deploy.chaos.profiles.cut_off import draw_cut_off
 from deploy.chaos.profiles.dead import draw_dead, draw_restarted
 from deploy.chaos.profiles.fast import draw_fast
@@ -51,18 +52,21 @@ PROFILES: Final[dict[str, Profile]] = {
     "scale": Profile(1.0, "places 0.3 to 10 m apart", draw_scale),
     "reordered": Profile(0.5, "formations that change while some do not hear others", draw_reordered),
     "overloaded": Profile(1.0, "processes that stand now and then amid others that go on", draw_overloaded),
+    "crowded": Profile(0.5, "many in each other's places, messages late, some dead", draw_crowded),
 }
-_LATER: Final = "overloaded"
-"""It takes its seeds from all others alike: those that are left draw what they drew before there was it."""
+_LATER: Final = ("crowded", "overloaded")
+"""Each takes its seeds from all that were there before it alike, the newest first: those that are left draw
+what they drew before there was it."""
 
 
 def profile_of(seed: int) -> str:
     """The name in `PROFILES` of the scenario's kind."""
     weights = {name: each.weight for name, each in PROFILES.items()}
-    share = weights[_LATER] / sum(weights.values())
-    if Dice("profile", _LATER, seed).chance(share):
-        return _LATER
-    del weights[_LATER]
+    for later in _LATER:
+        share = weights[later] / sum(weights.values())
+        if Dice("profile", later, seed).chance(share):
+            return later
+        del weights[later]
     return Dice("profile", seed).weighted(list(weights.items()))
 
 

@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
-from agent.control.constraint_assembly import ConstraintAssembly, Scene
+from agent.control.constraint_assembly import STOP_S, ConstraintAssembly, Scene
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX, stood_on
+from agent.control.peers.lanes import Run
 from agent.control.safety_distances import barrier_rate
-from agent.control.safety_filter import SEPARATION, STANDING, UNSURE, project
+from agent.control.safety_filter import SEPARATION, STANDING, UNSURE, HalfPlane, project
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve
 from agent.messages.types import HandState
@@ -138,3 +139,41 @@ def test_one_that_is_known_late_does_not_press_it_against_an_obstacle() -> None:
     assert u.causes == ("robot 3", "obstacle 1")
     assert u.violation > 0.1
     assert pole.nx * u.ux + pole.ny * u.uy == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("age_ns", [S // 10, 2 * LATE_NS])
+@pytest.mark.parametrize("speed", [0.1, 0.4])
+def test_one_that_stands_is_not_driven_at_because_its_place_is_further_on(age_ns: int, speed: float) -> None:
+    """It is predicted to go there, and cannot: others stand before it."""
+    robot = Robot(0.26, text=FLEET.replace("[0, 9]", "[9, 0]"))
+    robot.peers.get(3).lateness.forgiven_ns = 2 * LATE_NS
+    scene = robot.scene(T0 + age_ns, speed)
+    known = [each for each in scene.planes if each.cause == "robot 3" and each.rank == SEPARATION]
+    assert max(-each.nx * each.least for each in known) >= robot.barrier_rate * speed - 1e-9
+
+
+@pytest.mark.parametrize(("away", "pressed"), [(0.45, True), (0.24, False)])
+def test_nobody_is_pressed_over_a_body_that_is_not_heard(away: float, pressed: bool) -> None:
+    """How far it is off its way is a guess, and gives way to what is known; its way is not driven over."""
+    robot = Robot(-away)
+    robot.peers.get(3).belief = stood_on([(0.0, 0.1 - away, -1.0), (4.0, 0.1 - away, 1.0)], 0.0)
+    speed = -0.1
+    planes = robot.scene(T0 + 10 * S, speed).planes
+    planes.append(HalfPlane(-1.0, 0.0, 0.5, "robot 2"))
+    u = project(0.0, 0.0, planes, 5.0)
+    assert (u.ux < 0.0) is pressed
+    if not pressed:
+        assert u.ux == pytest.approx(-speed / STOP_S, abs=1e-6)
+
+
+def test_back_to_its_own_lane_a_robot_does_not_drive_over_one_that_it_hears() -> None:
+    """Lanes are where others may be; robot 3 is there, between robot 1 and its own lane."""
+    robot = Robot(0.26)
+    lane = (2.0, -5.0, 0.0, 10.0, 0.01)
+    robot.controller.right_of_way.keep_in = ((Run(2.0, 0.0, 5.0, (lane,)),),)
+    scene = robot.scene(T0 + S // 10)
+    ranks = [(each.rank, each.least > 0.0) for each in scene.planes if each.cause == "own lane"]
+    assert sorted(ranks) == [(SEPARATION, False), (UNSURE, True)]
+    u = project(0.0, 0.0, scene.planes, 5.0)
+    known = [each for each in scene.planes if each.rank == SEPARATION]
+    assert all(each.nx * u.ux + each.ny * u.uy > each.least - 1e-6 for each in known)
