@@ -64,8 +64,8 @@ class BeaconSchedule:
         self.level = 0
         self.stands = False
         self.tick_ns = fleet.period_ns
-        # Others for each, else all that hurried once for the same reason do so again in one tick; and each has
-        # its share of the first pause behind it at the start, when as many begin to miss each other at once.
+        # Others for each, else all that hurried once for the same reason do so again in one tick; and each
+        # waits for its share of the first pause at the start, when as many miss each other at once.
         self._pause_ns: Final = round((0.5 + shares[1]) * len(fleet.robots) * NS_PER_S / HURRIES_HZ)
         self._first_pause_ns: Final = round(shares[0] * self._pause_ns)
         self._hurried_ns, self._is_missed = 0, False

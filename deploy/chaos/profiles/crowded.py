@@ -1,7 +1,7 @@
 """Scenarios in which many robots start in each other's places, in a lattice, and some die amid them (PURE).
 
 All have to cross, there is no free way to most places, and who is pressed by others has a body beside it that
-nobody hears any more. Messages are late and lost, and at times groups do not hear each other. Lengths in m, W.
+nobody hears any more. Messages are late and lost; at times groups do not hear each other. Lengths in m, W.
 """
 
 from __future__ import annotations
