@@ -3,16 +3,15 @@ a lower rate that they asked for, times in which nothing came."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from deploy.analysis.presence import downs
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
+from deploy.verdict.lateness import Late, Made, made_late, unexplained
 from deploy.verdict.standstills import Cause, Stall, Stand, machines, stalls, stood_alone
-from deploy.verdict.violations import windows
 
 SKIPPED_SHARE: Final = 0.05
 """So large a share of a robot's ticks is skipped where its machine, or the law of others, is named."""
@@ -23,24 +22,32 @@ STOOD_SHARE: Final = 0.1
 def warnings(recording: Recording) -> list[str]:
     """Sentences that name what was too slow, or stood still: a machine, or some of its processes."""
     out = [_stall_words(stall) for stall in stalls(recording)]
-    slow = late_robots(recording)  # a law of others that is slow is named as such
+    slow = _too_late(recording)  # a law of others that is slow is named as such
     out += _stand_words([stand for stand in stood_alone(recording) if stand.robot not in slow])
     period_ms = 1e3 / recording.fleet.fleet.rate_hz
     for host, ids in machines(recording).items():
         late = [robot for robot in ids if robot in slow]
         if not late:
             continue
-        skipped = sum(_skipped(recording, robot) for robot in late)
-        ticks = skipped + sum(len(recording.robots[robot].status.tick_us) for robot in late)
         took = np.concatenate([recording.robots[robot].status.tick_us for robot in late])
         takes_ms = float(np.median(took)) / 1e3
         out.append(
-            f"{_name(host)} was too slow for its processes: {robots(late)} skipped {skipped} of {ticks} "
-            f"ticks, though one takes {takes_ms:.1f} ms of {period_ms:.3g} ms{_asked(recording, late)}. What "
-            "came late of that is not the fleet's doing: other programs run there, or too many robots at "
-            "this rate."
+            f"{_name(host)} was too slow for its processes: {robots(late)} {_did(recording, slow, late)}, "
+            f"though a tick takes {takes_ms:.1f} ms of {period_ms:.3g} ms. What came late of that is not the "
+            "fleet's doing: other programs run there, or too many robots at this rate."
         )
     return out
+
+
+def _did(recording: Recording, slow: Mapping[int, Late], late: Sequence[int]) -> str:
+    """How many ticks these robots skipped, and for how long they had the fleet slow down; no subject."""
+    did = []
+    if skipped := sum(slow[robot].skipped for robot in late):
+        ticks = sum(len(recording.robots[robot].status.tick_us) for robot in late) + skipped
+        did.append(f"skipped {skipped} of {ticks} ticks")
+    if asked_ms := max(slow[robot].asked_ms for robot in late):
+        did.append(f"had the fleet fall to a lower rate, for up to {asked_ms / 1e3:.1f} s")
+    return " and ".join(did)
 
 
 def _stall_words(stall: Stall) -> str:
@@ -79,15 +86,19 @@ def explains(recording: Recording) -> list[str]:
     stood_s: dict[Cause, float] = {}
     for stall in stalls(recording):
         stood_s[stall.cause] = stood_s.get(stall.cause, 0.0) + stall.lasts_s
-    late = late_robots(recording)
-    if 2 * len(late) > len(recording.ids):
+    slow = {
+        robot: late
+        for robot, late in _too_late(recording).items()
+        if _skips_many(recording, robot, late) or late.asked_ms > 1e3 * STOOD_SHARE * recording.end_s
+    }
+    if 2 * len(slow) > len(recording.ids):
         machine_s = stood_s.get(Cause.MACHINE, 0.0)
         stood = f", and {machine_s:.1f} s none could do anything" if machine_s else ""
         were = "Machines were" if len(machines(recording)) > 1 else "The machine was"
         return [
-            f"{were} too slow: {len(late)} of {len(recording.ids)} robots skipped many ticks{stood}. What "
-            "follows may come of that alone; `handfast check` says how many robots a machine carries at "
-            "which rate."
+            f"{were} too slow: {len(slow)} of {len(recording.ids)} robots "
+            f"{_did(recording, slow, sorted(slow))}{stood}. What follows may come of that alone; `handfast "
+            "check` says how many robots a machine carries at which rate."
         ]
     cause = max(stood_s, key=stood_s.__getitem__, default=Cause.MACHINE)
     if stood_s.get(cause, 0.0) <= STOOD_SHARE * recording.end_s:
@@ -101,12 +112,26 @@ def explains(recording: Recording) -> list[str]:
 def late_robots(recording: Recording) -> frozenset[int]:
     """The robots whose agents could not keep their rate, though nobody had made them late: their machines
     did. What an agent skipped while it alone stood still is not the machine's."""
+    return frozenset(_too_late(recording))
+
+
+def _too_late(recording: Recording) -> Mapping[int, Late]:
+    """Of `late_robots`, by how much more than what was done to them, or that they stood alone, explains."""
     if recording.mode == "simulate" or recording.fleet.control.law is not None:
-        return frozenset()
-    alone: dict[int, list[Stand]] = {}
+        return {}
+    made = {robot: made_late(recording, robot) for robot in recording.ids}
     for stand in stood_alone(recording):
-        alone.setdefault(stand.robot, []).append(stand)
-    return frozenset(robot for robot in recording.ids if _was_late(recording, robot, alone.get(robot, ())))
+        made[stand.robot].append(Made(stand.start_s, stand.end_s))
+    found = {robot: unexplained(recording, robot, each) for robot, each in made.items()}
+    return {
+        robot: late
+        for robot, late in found.items()
+        if late.asked_ms > 0 or _skips_many(recording, robot, late)
+    }
+
+
+def _skips_many(recording: Recording, robot: int, late: Late) -> bool:
+    return late.skipped > SKIPPED_SHARE * len(recording.robots[robot].status.tick_us)
 
 
 def on_late_machines(recording: Recording) -> frozenset[int]:
@@ -121,36 +146,9 @@ def _name(host: str) -> str:
     return f"Host {host}" if host else "The machine that ran the fleet"
 
 
-def _asked(recording: Recording, among: Sequence[int]) -> str:
-    """For how long robots had the whole fleet drive at a lower rate, as part of a sentence."""
-    totals = [recording.robots[robot].status.totals() for robot in among]
-    asked_s = max(each.get("overload.asked_ms", 0) for each in totals) / 1e3
-    return f", and had the fleet fall to a lower rate, for up to {asked_s:.1f} s" if asked_s else ""
-
-
 def slowed_s(recording: Recording) -> float:
     """For how long robots drove at a lower rate, or more slowly at the lowest, for somebody's machine was
     overloaded, s: the longest of them."""
     totals = [data.status.totals() for data in recording.robots.values()]
     spent = [sum(ms for name, ms in each.items() if name.startswith("overload.level_")) for each in totals]
     return max(spent, default=0) / 1e3
-
-
-def _skipped(recording: Recording, robot: int) -> int:
-    return recording.robots[robot].status.totals().get("overruns", 0)
-
-
-def _was_late(recording: Recording, robot: int, alone: Sequence[Stand]) -> bool:
-    """Whether a robot's agent skipped many ticks, or asked for a lower rate, for more than that it stood
-    `alone`, and nobody had made it late or paused it."""
-    ticks = len(recording.robots[robot].status.tick_us)
-    skipped = _skipped(recording, robot) - sum(stand.skipped for stand in alone)
-    asked_ms = recording.robots[robot].status.totals().get("overload.asked_ms", 0)
-    asked_ms -= sum(stand.asked_ms for stand in alone)
-    if not ticks or (skipped <= SKIPPED_SHARE * ticks and asked_ms <= 0):
-        return False
-    on_purpose: Sequence[object] = [
-        *downs(recording, robot, "agent"),
-        *(span for span in windows(recording) if span.rule.tick_jitter),
-    ]
-    return not on_purpose

@@ -323,7 +323,7 @@ def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
 def test_a_machine_that_was_too_slow_for_most_is_named_before_the_many_things_that_failed() -> None:
     found = crowd([f"for its {'x' * robot}" for robot in range(1, 6)], skipped=50)
     assert found[0] == (
-        "The machine was too slow: 5 of 5 robots skipped many ticks. What follows may come of that alone; "
-        "`handfast check` says how many robots a machine carries at which rate."
+        "The machine was too slow: 5 of 5 robots skipped 250 of 800 ticks. What follows may come of that "
+        "alone; `handfast check` says how many robots a machine carries at which rate."
     )
     assert not any("too slow" in each for each in crowd([f"for its {'x' * k}" for k in range(1, 6)]))

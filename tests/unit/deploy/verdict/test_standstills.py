@@ -22,6 +22,7 @@ from tests.unit.deploy.silent_run import (
     paused,
     silent,
 )
+from tests.unit.deploy.synthetic_run import make_fleet
 
 CAUSES = [
     (silent(ALL, counted=STOOD), Cause.MACHINE),
@@ -53,7 +54,7 @@ def test_one_plant_that_says_nothing_or_what_is_paused_on_purpose_is_no_stall() 
 
 def test_an_agent_that_stood_alone_is_told_from_the_machine() -> None:
     (stand,) = stood_alone(silent(OF_AGENTS, (2,), counted=STOOD | {"overload.asked_ms": 200}))
-    assert (stand.robot, stand.skipped, stand.asked_ms) == (2, 30, 200)
+    assert stand.robot == 2
     assert (stand.start_s, stand.end_s) == (pytest.approx(FROM_S), pytest.approx(UNTIL_S))
     assert stood_alone(silent(OF_AGENTS, counted=STOOD)) == [], "agents have more to do than plants"
     assert stood_alone(silent(ALL, (2,), counted=STOOD)) != []
@@ -64,8 +65,21 @@ def test_who_was_not_heard_or_was_made_to_stand_did_not_stand_of_its_own() -> No
     assert stood_alone(silent(OF_AGENTS, (2,), counted=STOOD, mode="simulate")) == []
     late = silent(OF_AGENTS, (2,), counted=STOOD)
     assert stood_alone(replace(late, events=paused(2, "agent"))) == []
-    rules = FaultsSection(rules=(Rule(tick_jitter=0.005),))
-    assert stood_alone(replace(late, fleet=replace(late.fleet, faults=rules))) == []
+    for jitter_s, explains in ((0.005, False), (0.2, False), (0.3, True)):
+        rules = FaultsSection(rules=(Rule(tick_jitter=jitter_s),))
+        assert (stood_alone(replace(late, fleet=replace(late.fleet, faults=rules))) == []) is explains
+    of_other = FaultsSection(rules=(Rule(tick_jitter=0.3, robot=(1,)),))
+    assert stood_alone(replace(late, fleet=replace(late.fleet, faults=of_other))) != []
+
+
+@pytest.mark.parametrize(("froze", "is_machine"), [(5, False), (8, True)])
+def test_a_third_of_the_agents_may_be_frozen_at_once_beside_a_machine_that_runs(
+    froze: int, is_machine: bool
+) -> None:
+    fleet = make_fleet([(float(k), 0.0) for k in range(16)], [(1, 2)])
+    ids = tuple(range(1, froze + 1))
+    found = stood_alone(silent(OF_AGENTS, ids, fleet=fleet, counted=STOOD))
+    assert [stand.robot for stand in found] == ([] if is_machine else [*ids])
 
 
 def test_an_agent_that_starts_again_counts_anew() -> None:
