@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from errno import ETIMEDOUT
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -24,6 +25,11 @@ SERVER: Final = "deploy.processes.fork_server"
 UNSEEN: Final = 1 << 16
 """Exit status of a process that has ended after the server, so that nobody saw how."""
 END_TIMEOUT_S: Final = 5.0
+UNTOLD_S: Final = 1.5
+"""A process that has ended and of which the server has not said how for so long ended unseen: it stands."""
+ANSWER_S: Final = 20.0
+"""A server that has answered nothing for so long stands: forking takes it some ms, loading some tenths of a
+second, and tenfold where hundreds of processes start."""
 
 
 class ForkServer:
@@ -42,6 +48,8 @@ class ForkServer:
         self._is_ready = False
         self._count = 0
         self._ended: dict[int, int] = {}
+        self._owes_since: float | None = None
+        """Since when it has told nothing, though something has ended."""
         if not hasattr(os, "pidfd_open"):
             return  # a system where nothing is forked
         self._socket, asked = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -73,7 +81,7 @@ class ForkServer:
         """Ends the server; safe to call twice."""
         self._is_gone()
         if self._process is not None:
-            if not self._is_ready:  # it may be loading still, and has forked nothing
+            if not self._is_ready or self.stands:  # it may be loading still, and has forked nothing
                 self._process.kill()
             try:
                 self._process.wait(END_TIMEOUT_S)
@@ -102,14 +110,14 @@ class ForkServer:
             for_many: robots wait for it: it leaves them no more once it has started than before (`yields`).
 
         Raises:
-            OSError: the system has no room for another process.
+            OSError: the system has no room for another process, or the server stands.
         """
         if command_line.room(words_of(module, arguments)) > ROOM or not self._can_be_asked():
             return None
         self._count += 1
         what = {"module": module, "arguments": list(arguments), "for_many": for_many}
         self._ask({"number": self._count, **what}, [log])
-        while (answer := self._next(None)) is not None:
+        while (answer := self._next(ANSWER_S)) is not None:
             message, handles = answer
             if "errno" in message:
                 raise OSError(message["errno"], os.strerror(message["errno"]))
@@ -117,7 +125,19 @@ class ForkServer:
                 if not handles:  # it is no program that it knows
                     return None
                 return ForkedProcess(self, message["number"], message["pid"], handles[0])
+        if self._socket is not None:  # nor may another start it: it would be there twice, once this goes on
+            raise TimeoutError(ETIMEDOUT, f"the process that forks others ({self.pid}) does not answer")
         return None
+
+    @property
+    def stands(self) -> bool:
+        """Whether something has ended long ago of which it has not told how."""
+        return self._owes_since is not None and time.monotonic() - self._owes_since > UNTOLD_S
+
+    def owes(self) -> None:
+        """It has not told yet how a process ended that has."""
+        if self._owes_since is None:
+            self._owes_since = time.monotonic()
 
     def status(self, number: int) -> int | None:
         """The exit status of one of its processes, once; None while it is not known."""
@@ -131,9 +151,11 @@ class ForkServer:
         return self._socket
 
     def _can_be_asked(self) -> bool:
-        """Waits until the server has loaded everything, the first time."""
+        """Waits until the server has loaded everything, the first time. One that does not is ended: nothing
+        has been forked by it."""
         while self._socket is not None and not self._is_ready:
-            self._next(None)
+            if self._next(ANSWER_S) is None:
+                self.close()
         return self._socket is not None
 
     def _is_gone(self) -> None:
@@ -146,7 +168,7 @@ class ForkServer:
             with suppress(OSError):  # its end is found where it should answer
                 socket.send_fds(self._socket, [json.dumps(request).encode()], handles)
 
-    def _next(self, timeout_s: float | None) -> tuple[dict[str, Any], list[int]] | None:
+    def _next(self, timeout_s: float) -> tuple[dict[str, Any], list[int]] | None:
         """The server's next message, with what it handed over; None when there is none, or no server."""
         if self._socket is None or not select.select([self._socket], [], [], timeout_s)[0]:
             return None
@@ -158,7 +180,7 @@ class ForkServer:
             self._is_gone()
             return None
         message: dict[str, Any] = json.loads(data)
-        self._is_ready = True
+        self._is_ready, self._owes_since = True, None
         if "ended" in message:
             self._ended[message["ended"]] = message["status"]
         return message, handles
@@ -185,9 +207,12 @@ class ForkedProcess:
     def poll(self) -> int | None:
         """Its exit status, None while it runs."""
         if self.returncode is None:
-            self.returncode = self._server.status(self._number)
-            if self.returncode is None and self._server.news is None and _readable(self._handle, 0.0):
-                self.returncode = UNSEEN
+            server = self._server
+            self.returncode = server.status(self._number)
+            if self.returncode is None and _readable(self._handle, 0.0):
+                server.owes()
+                if server.news is None or server.stands:
+                    self.returncode = UNSEEN
             if self.returncode is not None:
                 self._forget()
         return self.returncode
@@ -204,7 +229,11 @@ class ForkedProcess:
             if left <= 0.0:
                 raise subprocess.TimeoutExpired(str(self.pid), timeout)
             news = self._server.news
-            _readable(self._handle if news is None else news, left)
+            if news is None or not _readable(self._handle, 0.0):
+                waited: list[int | socket.socket] = [self._handle]
+                select.select(waited if news is None else [*waited, news], [], [], left)
+            else:
+                _readable(news, min(left, UNTOLD_S / 10))
         return status
 
     def send_signal(self, number: int) -> None:

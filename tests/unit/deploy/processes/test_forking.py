@@ -236,6 +236,35 @@ def test_whoever_is_left_ends_with_the_server(server: ForkServer, tmp_path: Path
     assert all(gone(each.pid) for each in made)
 
 
+def test_a_server_that_stands_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """How processes end is not known then, but that they do; nothing more can be started by it, nor beside
+    it, for it may go on."""
+    with ForkServer(environment()) as server, open(tmp_path / "log", "ab") as log:
+        made = [start(server, tmp_path / "log", "wait") for _ in range(5)]
+        monkeypatch.setattr(forking, "UNTOLD_S", 0.2)
+        monkeypatch.setattr(forking, "ANSWER_S", 0.1)
+        assert server.pid is not None
+        os.kill(server.pid, signal.SIGSTOP)
+        assert made[0].poll() is None
+        for each in made:
+            each.kill()
+        assert [each.wait(PATIENCE_S) for each in made] == [UNSEEN] * 5
+        with pytest.raises(TimeoutError, match="the process that forks others"):
+            server.start("trivial", ["exit", "0"], log.fileno())
+        began_s = time.monotonic()
+    assert gone(server.pid or 0)
+    assert time.monotonic() - began_s < forking.END_TIMEOUT_S, "it is not asked to end"
+
+
+def test_a_server_that_never_loads_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forking, "ANSWER_S", 0.1)
+    (tmp_path / "path" / "serves.py").write_text("import signal\nwhile True:\n    signal.pause()\n")
+    with ForkServer(environment()) as server:
+        made = Child(1, "agent", "trivial", ["exit", "4"], tmp_path / "log", server)
+        assert made.wait(PATIENCE_S)
+        assert made.ended() == "exit status 4"
+
+
 def test_what_cannot_be_forked_is_started(tmp_path: Path) -> None:
     """A server that is gone, a program that it does not know, a command line that is too long."""
     with ForkServer(environment()) as server, open(tmp_path / "log", "ab") as log:
