@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from types import TracebackType
 from typing import Any, Final, Literal
 
@@ -45,6 +46,8 @@ LINK_TIMEOUT_S: Final = 3.0
 """A link that is being opened and on which nothing comes for so long is tried again. Robots have a shorter
 one among each other, by their fleet file: the first packet of an attempt is lost where a peer is out of
 reach, and not sent again for a second."""
+WANTED_S: Final = 0.05
+"""So often it is asked whether a session is wanted still while it is being opened."""
 TX_QUEUE_SIZE: Final = 16
 """Batches that wait on one link to be sent."""
 RUNTIME: Final = (
@@ -69,6 +72,8 @@ M_ARENA_MAX: Final = -8
 """Parameter of glibc's mallopt(3): the number of arenas."""
 
 
+_OPENING: Final[list[threading.Thread]] = []
+"""Threads that open sessions."""
 _SESSIONS: Final[list[Any]] = []
 """All that are open in this process: a link is one of one of them."""
 
@@ -207,6 +212,7 @@ def _open_client(
     security: Security | None,
     go_on_waiting: Callable[[], bool],
     link_timeout_s: float,
+    is_wanted: Callable[[], bool] | None = None,
 ) -> Any:
     """A session with the first router that answers. One that was there once is waited for by Zenoh itself.
 
@@ -216,12 +222,43 @@ def _open_client(
     patience = 1
     while True:
         try:
-            return _open("client", [], routers, security, patience * link_timeout_s)
+            what = partial(_open, "client", [], routers, security, patience * link_timeout_s)
+            return what() if is_wanted is None else _while_wanted(what, is_wanted)
         except BusError:
             if not go_on_waiting():
                 raise
         time.sleep(RETRY_MS[1] / 1000)
         patience = min(2 * patience, PATIENCE_MAX)
+
+
+def _while_wanted(opens: Callable[[], Any], is_wanted: Callable[[], bool]) -> Any:
+    """What `opens` gives or raises, from a thread of its own: Zenoh waits for seconds, and meanwhile the main
+    thread has to answer signals. A `BusError` when it is not wanted any more; the thread is left behind."""
+    found: list[Any] = []
+
+    def open_it() -> None:
+        try:
+            found.append(opens())
+        except BusError as error:
+            found.append(error)
+
+    thread = threading.Thread(target=open_it, daemon=True)
+    _OPENING.append(thread)
+    thread.start()
+    while thread.is_alive():
+        thread.join(WANTED_S)
+        if thread.is_alive() and not is_wanted():
+            raise BusError("no router has answered until it was not wanted any more")
+    _OPENING.remove(thread)
+    if isinstance(found[0], BusError):
+        raise found[0]
+    return found[0]
+
+
+def is_opening() -> bool:
+    """Whether a session is being opened that nobody waits for. An interpreter must not end with such a
+    thread: it would take the process down with it."""
+    return any(thread.is_alive() for thread in _OPENING)
 
 
 class _Links:
@@ -277,6 +314,8 @@ class Bus:
         near: keys that come directly from this robot's own processes, though there are routers.
         security: how links are secured, None for not at all.
         go_on_waiting: asked whether to try again when no router answers.
+        is_wanted: asked all the while until one does, from where signals are answered; False: it raises,
+            and the process has to end outright (`is_opening`).
         link_timeout_s: a link on which nothing new comes for so long while it is opened is tried again.
         retry_ms: shortest and longest pause before that.
         robots: how many the fleet has: so much may come at once.
@@ -294,6 +333,7 @@ class Bus:
         near: Collection[str] = (),
         security: Security | None = None,
         go_on_waiting: Callable[[], bool] = lambda: False,
+        is_wanted: Callable[[], bool] | None = None,
         link_timeout_s: float = LINK_TIMEOUT_S,
         retry_ms: tuple[int, int] = RETRY_MS,
         robots: int = 1,
@@ -311,7 +351,8 @@ class Bus:
                 self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, retry_ms))
             if routers:
                 with self._looking() if len(routers) > 1 else nullcontext():
-                    self._sessions.append(_open_client(routers, security, go_on_waiting, link_timeout_s))
+                    client = _open_client(routers, security, go_on_waiting, link_timeout_s, is_wanted)
+                    self._sessions.append(client)
         except BaseException:
             self.close()
             raise

@@ -21,7 +21,7 @@ from agent.links.fault_plan import FaultPlan
 from agent.links.ticks import Deadlines
 from agent.messages import key_expressions
 from agent.node import Node
-from agent.runtime.bus import Bus, BusError
+from agent.runtime.bus import Bus, BusError, is_opening
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
 from agent.runtime.listening_gate import Gate
@@ -205,6 +205,7 @@ def _run(
                 connect=connect,
                 near={key for robot in robots for key in key_expressions.near(fleet.fleet.name, robot)},
                 go_on_waiting=waiting,
+                is_wanted=lambda: not asked(),
             ) as bus,
             _store(options, role, log) as store,
         ):
@@ -255,6 +256,7 @@ def main(
         if not shutdown.asked:
             log(str(error))
             return FAILED
+        left = is_opening()
     except (Error, StartError) as error:
         log(str(error))
         return BAD_INPUT

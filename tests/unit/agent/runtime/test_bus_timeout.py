@@ -137,3 +137,23 @@ def test_a_router_that_does_not_answer_is_given_more_time_with_each_try(
     with pytest.raises(BusError):
         bus._open_client(["tcp/127.0.0.1:9"], None, lambda: len(tried) < 5, 0.4)
     assert tried == pytest.approx([0.4, 0.8, 1.6, 1.6, 1.6])
+
+
+def test_who_is_not_wanted_any_more_waits_for_no_router() -> None:
+    """Zenoh waits for seconds, in which the main thread would answer no signal."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        router = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        asked: list[float] = []
+
+        def is_wanted() -> bool:
+            asked.append(time.monotonic())
+            return len(asked) < 3
+
+        begun = time.monotonic()
+        with pytest.raises(BusError, match="not wanted any more"):
+            Bus(listen=[], connect=[], routers=[router], is_wanted=is_wanted)
+        assert time.monotonic() - begun < LINK_TIMEOUT_S
+        assert bus.is_opening(), "it is left behind"
+    for thread in tuple(bus._OPENING):
+        thread.join(3 * OPEN_TIMEOUT_MS / 1000)
+    assert not bus.is_opening()
