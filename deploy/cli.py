@@ -168,6 +168,7 @@ def process() -> int:
     # OpenBLAS has a thread for each processor, and they spin for each other: where others use one of two,
     # what takes a second alone takes twelve. Nothing here is large enough to gain by it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    _have_standard_streams()
     try:
         status = main()
     except SystemExit as ended:  # of the parser
@@ -188,6 +189,15 @@ def process() -> int:
         status = INTERRUPTED
     _write_out()
     os._exit(status)  # at its end the interpreter would wait for them
+
+
+def _have_standard_streams() -> None:
+    """Has what is said to a stream that is closed (`handfast run delta 2>&-`) go nowhere: else the next file
+    that is opened gets its number, and `print` takes the other stream."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)  # it gets the lowest number that is free
+            setattr(sys, name, os.fdopen(nowhere, "w" if number else "r"))
 
 
 def _write_out() -> None:

@@ -105,10 +105,24 @@ def change_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", metavar="N", help="short for --set fleet.seed=N")
 
 
+def place_for(text: str) -> str:
+    """The value of an option that says where something goes.
+
+    Raises:
+        argparse.ArgumentTypeError: it is empty, as where a shell's variable was not set.
+    """
+    if not text.strip():
+        raise argparse.ArgumentTypeError("is empty: name a folder, or leave the option out")
+    return text
+
+
 def drive_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the options of every command that drives a fleet: folder, report, check, quiet."""
     parser.add_argument(
-        "--out", metavar="DIR", help="the run's folder (default: runs/FLEET-TIME); must be empty or new"
+        "--out",
+        type=place_for,
+        metavar="DIR",
+        help="the run's folder (default: runs/FLEET-TIME); must be empty or new",
     )
     parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
     parser.add_argument(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agent.common.exit import PASSED
-from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
+from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes, place_for
 from deploy.inventory.running import handled
 
 if TYPE_CHECKING:
@@ -30,7 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
     parser.add_argument(
-        "--out", metavar="DIR", help="where to (default: FLEET-deployment); must be empty or new"
+        "--out",
+        type=place_for,
+        metavar="DIR",
+        help="where to (default: FLEET-deployment); must be empty or new",
     )
     parser.add_argument(
         "--platform",

@@ -8,7 +8,15 @@ import time
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
-from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
+from deploy.console.arguments import (
+    InputError,
+    describe,
+    fleet_path,
+    host_argument,
+    load,
+    no_changes,
+    place_for,
+)
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
 from deploy.inventory.running import handled
@@ -24,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
     host_argument(parser)
-    parser.add_argument("--out", metavar="DIR", help="the run's folder (default: runs/FLEET-fetched-TIME)")
+    parser.add_argument(
+        "--out", type=place_for, metavar="DIR", help="the run's folder (default: runs/FLEET-fetched-TIME)"
+    )
     parser.add_argument("--since", metavar="TIME", help=f"from when on: {FORMS}")
     parser.add_argument("--until", metavar="TIME", help="until when")
     parser.add_argument("--all", action="store_true", help="all that there is")

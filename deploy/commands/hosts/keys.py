@@ -35,7 +35,7 @@ from agent.security.identity import (
 )
 from agent.security.private_files import KeyFileError, exists
 from deploy.commands.hosts.key_exchange import backup, existing, install, request, restore, sign
-from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved
+from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved, place_for
 from deploy.hosts.certificates import AnotherAuthorityError
 from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
 from deploy.inventory.certificate_requests import RequestError
@@ -86,7 +86,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="address that others reach the router or the robot at, repeatedly",
     )
     parser.add_argument(
-        "--out", metavar="PATH", help="folder, or file, for what is to be carried to another computer"
+        "--out",
+        type=place_for,
+        metavar="PATH",
+        help="folder, or file, for what is to be carried to another computer",
     )
     parser.add_argument(
         "--renew", action="store_true", help="new certificates also where they are still good"

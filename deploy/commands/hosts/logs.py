@@ -170,6 +170,8 @@ def _here(
                 if interrupt.count:
                     return INTERRUPTED
                 print(f"{log.name}: {printable(line)}")
+        except BrokenPipeError:  # who reads what is printed is gone, not the log
+            raise
         except OSError as error:
             print(f"handfast: {log.name}: cannot read its log: {error}", file=sys.stderr)
             status = FAILED
@@ -177,9 +179,11 @@ def _here(
         is_over = set(known.runs).isdisjoint(running())
         for new in log_files(folder, robots):
             log = logs.setdefault(new.name, new)
+            said: list[str] = []
             with suppress(OSError):
-                for line in log.lines(complete=not is_over):
-                    _print(Line(time.time_ns() // 1000, log.name, printable(line)))
+                said += log.lines(complete=not is_over)
+            for line in said:
+                _print(Line(time.time_ns() // 1000, log.name, printable(line)))
         if is_over:
             return status
         time.sleep(LOOK_S)

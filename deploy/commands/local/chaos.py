@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import show
-from deploy.console.arguments import InputError, describe
+from deploy.console.arguments import InputError, describe, place_for
 
 if TYPE_CHECKING:
     from deploy.chaos.report import Driven
@@ -58,7 +58,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         action="store_false",
         help="leave failing scenarios as they were drawn",
     )
-    sub.add_argument("--out", default=OUT, metavar="DIR", help=f"where failing ones go (default: {OUT})")
+    sub.add_argument(
+        "--out", type=place_for, default=OUT, metavar="DIR", help=f"where failing ones go (default: {OUT})"
+    )
     sub.add_argument(
         "--write", action="store_true", help="only write the scenarios of these seeds, as fleet files"
     )

@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 
 from agent.common.exit import PASSED
+from deploy.console.arguments import place_for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast export`` takes."""
     parser.add_argument("folder", metavar="RUN", help="the run's folder")
     parser.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), parquet or json")
-    parser.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
+    parser.add_argument("--out", type=place_for, metavar="DIR", help="where to (default: RUN/export)")
     parser.set_defaults(command=_export)
 
 

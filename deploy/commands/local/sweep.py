@@ -18,6 +18,7 @@ from deploy.console.arguments import (
     fleet_path,
     fleet_text,
     overrides,
+    place_for,
     scenario_path,
 )
 
@@ -67,7 +68,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         metavar="TIME",
         help=f"real time that a run may take (default: {TIMEOUT})",
     )
-    sub.add_argument("--out", metavar="DIR", help="the sweep's folder (default: sweeps/FLEET-TIME)")
+    sub.add_argument(
+        "--out", type=place_for, metavar="DIR", help="the sweep's folder (default: sweeps/FLEET-TIME)"
+    )
     sub.add_argument(
         "--write", type=int, metavar="RUN", help="only write the fleet file of one run, to drive it by itself"
     )

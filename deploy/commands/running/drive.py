@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError, describe, fleet_path
+from deploy.console.arguments import InputError, describe, fleet_path, place_for
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 from deploy.inventory.running import handled
 
@@ -54,7 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="give the mission and end: nobody records, robots drive alone to its end",
     )
     parser.add_argument(
-        "--out", metavar="DIR", help="the drive's folder (default: runs/FLEET-TIME); must be empty or new"
+        "--out",
+        type=place_for,
+        metavar="DIR",
+        help="the drive's folder (default: runs/FLEET-TIME); must be empty or new",
     )
     parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
     parser.add_argument(

@@ -202,6 +202,39 @@ def command_line(
     )
 
 
+@pytest.mark.parametrize("closed", [1, 2])
+def test_what_is_said_to_a_stream_that_is_closed_goes_nowhere(closed: int, tmp_path: Path) -> None:
+    """And not to the other stream, nor into a file that has got its number."""
+    out = tmp_path / "out"
+    shell = f'"$0" -P -c "from deploy.cli import process; raise SystemExit(process())" "$@" {closed}>&-'
+    simulated = ["simulate", "delta", "--no-report", "--duration", "15s", "--out", str(out)]
+    for arguments, status in ((simulated, 0), (["check", "nobody"], 2)):
+        done = subprocess.run(
+            ["/bin/sh", "-c", shell, sys.executable, *arguments],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            timeout=60,
+        )
+        assert done.returncode == status, done
+        assert (done.stdout, done.stderr)[closed - 1] == ""
+        assert "no bundled fleet of that name" not in done.stdout
+    assert {path.name for path in out.iterdir()} == {"fleet.toml", "metrics.json", "run.mcap"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("run", "delta"), ("simulate", "delta"), ("export", "run"), ("sweep", "run", "delta"), ("chaos",)],
+)
+def test_a_place_that_is_empty_is_no_default(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a variable of a shell that was not set."""
+    with pytest.raises(SystemExit, match="2"):
+        main([*arguments, "--out", ""])
+    assert "argument --out: is empty: name a folder, or leave" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("arguments", [("check", "delta"), ("--help",)])
 def test_an_output_without_room_is_one_line(arguments: tuple[str, ...]) -> None:
     full = Path("/dev/full")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import queue
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -295,6 +297,19 @@ def test_of_a_run_here_what_cannot_be(folder: Path, capsys: pytest.CaptureFixtur
         assert says("pair-here").startswith(
             "there are no logs of pair-here here: no `handfast run` has started"
         )
+
+
+@pytest.mark.parametrize("more", [(), ("--follow",)])
+def test_who_reads_a_runs_logs_may_go(
+    folder: Path, more: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`handfast logs | head` is no log that cannot be read."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with of_run(folder), os.fdopen(writer, "w", buffering=1) as nobody:
+        monkeypatch.setattr(sys, "stdout", nobody)
+        assert main(["logs", "pair-here", *more]) == 1
+    assert capsys.readouterr().err == ""
 
 
 def test_many_are_ended_in_the_time_that_one_takes() -> None:
