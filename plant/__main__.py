@@ -62,14 +62,35 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the command line after the program's name; None: that of this process.
     """
     parser = argparse.ArgumentParser(prog="python -m plant", add_help=False, allow_abbrev=False)
-    parser.add_argument("--pose", type=place, metavar="X,Y,HEADING")
-    parser.add_argument("--pose-file", type=Path, metavar="FILE")
-    parser.add_argument("--look", action="store_true")
-    parser.add_argument("--with", dest="beside", type=ids, default=[], metavar="ID,ID")
-    parser.add_argument("--logs", type=Path, metavar="DIR")
+    parser.add_argument(
+        "--pose",
+        type=place,
+        metavar="X,Y,HEADING",
+        help="where the body starts, m, m, rad (default: the file's)",
+    )
+    parser.add_argument(
+        "--pose-file", type=Path, metavar="FILE", help="where the body is kept, and starts again"
+    )
+    parser.add_argument("--look", action="store_true", help="only look at a vehicle")
+    parser.add_argument(
+        "--with",
+        dest="beside",
+        type=ids,
+        default=[],
+        metavar="ID,ID",
+        help="serve the simulated bodies of these robots, too, behind a router",
+    )
+    parser.add_argument(
+        "--logs",
+        type=Path,
+        metavar="DIR",
+        help="where these write their logs, one each (default: with the first)",
+    )
     options, rest = parser.parse_known_args(argv)
     if options.beside and (options.pose is not None or options.pose_file is not None):
         parser.error("--with: a place is one body's; let each start where the fleet file has it")
+    if options.logs is not None and not options.beside:
+        parser.error("--logs: goes with --with; the log of one body is what its process prints")
 
     def make(fleet: Fleet, robot: int, clock: Clock, log: Log) -> PlantBackend:
         kind = fleet.robot(robot).kind
@@ -95,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise StartError(str(error)) from None
 
     try:
-        return serve(rest, "python -m plant", make, options.beside, options.logs)
+        return serve(rest, "python -m plant", make, options.beside, options.logs, [parser])
     except PoseFileError as error:
         print(f"plant: {error}", file=sys.stderr)
         return FAILED

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
+import socket
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 from agent.common.time import Clock
 from agent.fleet.model import Fleet
+from agent.runtime.bus import BusError
 from agent.runtime.loop import Log
 from agent.runtime.process import Start, StartError, log_name, logger
 from agent.runtime.process import main as process_main
@@ -22,6 +25,7 @@ def main(
     make: Callable[[Fleet, int, Clock, Log], PlantBackend],
     beside: Sequence[int] = (),
     logs: Path | None = None,
+    own: Sequence[argparse.ArgumentParser] = (),
 ) -> int:
     """Command line of a plant process. Returns the exit status.
 
@@ -33,6 +37,7 @@ def main(
         beside: robots whose plants the process serves, too. Others hear them through the fleet's routers:
             it listens nowhere.
         logs: folder of these plants' logs, each in a file of its own; None: in that of the process.
+        own: have the program's own options, for its help.
     """
 
     def start(fleet: Fleet, robot: int, clock: Clock, log: Log) -> Start:
@@ -48,10 +53,17 @@ def main(
 
     def _several(fleet: Fleet, robots: Sequence[int], clock: Clock, log: Log) -> Start:
         if not fleet.routers:
-            raise StartError("the plants of several robots share a process only behind a router")
-        unknown = [robot for robot in robots if robot not in fleet.ids]
-        if unknown or len(set(robots)) < len(robots):
-            raise StartError(f"--with: {f'there is no robot {unknown[0]}' if unknown else 'a robot twice'}")
+            raise StartError(
+                "--with: the plants of several robots share a process only behind a router, and this file "
+                "names none (network.routers)"
+            )
+        for robot in robots:
+            fleet.robot(robot)  # says which are there
+            if robots.count(robot) > 1:
+                raise StartError(f"--with: robot {robot} is named twice")
+        if logs is not None and not logs.is_dir():
+            raise StartError(f"--logs: there is no folder {logs}")
+        held = held_ports(fleet, robots)
         writing = [log, *(logger(f"robot {robot}", "plant", _log_of(robot)) for robot in robots[1:])]
         backends = [make(fleet, robot, clock, log) for robot, log in zip(robots, writing, strict=True)]
         nodes = [PlantNode(fleet, *each) for each in zip(robots, backends, strict=True)]
@@ -60,6 +72,8 @@ def main(
         def close() -> None:
             for backend in backends:
                 backend.close()
+            for port in held:
+                port.close()
 
         agents = [fleet.agent_near(robot) for robot in robots]
         return Start(pool, (), agents, close, partial(PoolTicks, pool), robots[1:])
@@ -67,4 +81,30 @@ def main(
     def _log_of(robot: int) -> Path | None:
         return None if logs is None else logs / log_name(robot, "plant")
 
-    return process_main(argv, program, "plant", start)
+    return process_main(argv, program, "plant", start, own)
+
+
+def held_ports(fleet: Fleet, robots: Sequence[int]) -> list[socket.socket]:
+    """Has the ports on which the plants of `robots` would listen in processes of their own, so that nobody
+    starts a second body of one of them on this machine.
+
+    Raises:
+        BusError: somebody has one of them.
+    """
+    held: list[socket.socket] = []
+    for robot in robots:
+        for endpoint in fleet.plant_listens(robot):
+            address, _, port = endpoint.partition("/")[2].rpartition(":")
+            taken = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
+            held.append(taken)
+            taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # links of an earlier run may linger
+            try:
+                taken.bind((address.strip("[]"), int(port)))
+                taken.listen(0)  # else others may listen there
+            except OSError as error:
+                for each in held:
+                    each.close()
+                raise BusError(
+                    f"robot {robot}'s plant cannot have {endpoint}: {error.strerror}; is there one already?"
+                ) from None
+    return held

@@ -88,9 +88,11 @@ def _say_rejected(node: Node, log: Log) -> None:
         log(f"ignored {sum(node.rejected.values())} messages that were not valid: {shown}")
 
 
-def robot_arguments(program: str, description: str) -> argparse.ArgumentParser:
-    """Parser of what the command line of every process of a robot has."""
-    parser = argparse.ArgumentParser(prog=program, description=description)
+def robot_arguments(
+    program: str, description: str, own: Sequence[argparse.ArgumentParser] = ()
+) -> argparse.ArgumentParser:
+    """Parser of what the command line of every process of a robot has; `own` have what it has besides."""
+    parser = argparse.ArgumentParser(prog=program, description=description, parents=own)
     parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
     parser.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot in that file")
     parser.add_argument("--keys", metavar="DIR", help="folder of the robot's key and certificates")
@@ -230,16 +232,18 @@ def main(
     program: str,
     role: str,
     start: Callable[[Fleet, int, Clock, Log], Start],
+    own: Sequence[argparse.ArgumentParser] = (),
 ) -> int:
     """Command line of a robot's process: reads the fleet file, opens the bus, serves.
 
     Args:
+        own: have the program's own options, which its help names; they have been read.
         start: makes the process's part from the fleet, the robot's id, the clock and what writes a line
             of the log. May raise `Error` or `StartError`.
 
     Returns the exit status: 0 when it was asked to end, 1 when the bus cannot be opened now, 2 for bad input.
     """
-    parser = robot_arguments(program, f"The {role} of one robot of a fleet.")
+    parser = robot_arguments(program, f"The {role} of one robot of a fleet.", own)
     parser.add_argument(
         "--set", dest="overrides", action="append", default=[], metavar="A.B=V", help="override a field"
     )

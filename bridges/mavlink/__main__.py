@@ -62,9 +62,9 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process; returns its exit status."""
     parser = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
-    parser.add_argument("--look", action="store_true")
+    parser.add_argument("--look", action="store_true", help="only look at the vehicle: arm nothing")
     options, rest = parser.parse_known_args(argv)
-    return serve(rest, PROGRAM, partial(make, look=options.look))
+    return serve(rest, PROGRAM, partial(make, look=options.look), own=[parser])
 
 
 if __name__ == "__main__":

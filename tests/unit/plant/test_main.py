@@ -11,14 +11,16 @@ import pytest
 
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import digest, load_fleet
-from agent.fleet.model import Fleet
+from agent.fleet.model import Fleet, FleetError
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission
+from agent.runtime.bus import Bus, BusError
 from agent.runtime.clock import RealClock
 from agent.runtime.process import StartError
 from deploy.console.data_files import FLEETS
+from deploy.processes.ports import Reservation
 from plant import server
 from plant.__main__ import main, place
 from plant.unicycle import from_fleet
@@ -44,7 +46,7 @@ def test_a_plant_knows_the_mission_of_its_fleet_however_that_is_written(
     whole = resolved(fleet)
     assert (fleet.is_resolved, whole.is_resolved) == (False, True)
     started: list[Any] = []
-    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[-1]) or 0)
+    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[3]) or 0)
 
     def make(given: Fleet, robot: int, *_: object) -> Any:
         return from_fleet(given, robot)
@@ -63,6 +65,7 @@ PLACE = "--with: a place is one body's; let each start where the fleet file has 
     ("options", "says"),
     [
         (["--with=1,a"], "argument --with: must be numbers of robots such as 2,3,4, got '1,a'"),
+        (["--logs=x"], "--logs: goes with --with; the log of one body is what its process prints"),
         (["--with="], "argument --with: must be numbers of robots such as 2,3,4, got ''"),
         (
             ["--with=2", "--pose=1,2,3"],
@@ -86,18 +89,25 @@ def test_several_bodies_are_named_by_numbers_and_start_where_the_file_has_them(
 @pytest.mark.parametrize(
     ("settings", "beside", "says"),
     [
-        ([], [2], "the plants of several robots share a process only behind a router"),
-        (['network.routers=["127.0.0.1:9"]'], [2, 9], "--with: there is no robot 9"),
-        (['network.routers=["127.0.0.1:9"]'], [2, 1], "--with: a robot twice"),
+        (
+            [],
+            [2],
+            "--with: the plants of several robots share a process only behind a router, and this file names "
+            "none (network.routers)",
+        ),
+        (['network.routers=["127.0.0.1:9"]'], [2, 9], "fleet pair: there is no robot 9; ids are 1, 2"),
+        (['network.routers=["127.0.0.1:9"]'], [2, 1], "--with: robot 1 is named twice"),
+        (['network.routers=["127.0.0.1:9"]'], [2], "--logs: there is no folder nowhere"),
     ],
 )
 def test_several_bodies_are_those_of_other_robots_behind_a_router(
     settings: list[str], beside: list[int], says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started: list[Any] = []
-    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[-1]) or 0)
-    server.main([], "python -m plant", lambda given, robot, *_: from_fleet(given, robot), beside)
-    with pytest.raises(StartError, match=f"^{re.escape(says)}$"):
+    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[3]) or 0)
+    logs = Path("nowhere")
+    server.main([], "python -m plant", lambda given, robot, *_: from_fleet(given, robot), beside, logs)
+    with pytest.raises((StartError, FleetError), match=f"^{re.escape(says)}$"):
         started[0](resolved(load_fleet(FLEETS / "pair.toml", settings)), 1, RealClock(), print)
 
 
@@ -105,9 +115,9 @@ def test_several_bodies_write_a_log_each(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     started: list[Any] = []
-    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[-1]) or 0)
+    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[3]) or 0)
     server.main([], "python -m plant", lambda given, robot, *_: from_fleet(given, robot), [2], tmp_path)
-    fleet = resolved(load_fleet(FLEETS / "pair.toml", ['network.routers=["127.0.0.1:9"]']))
+    fleet = routed_pair()
     said: list[str] = []
     start = started[0](fleet, 1, RealClock(), said.append)
     assert (start.listen, start.connect) == ((), [fleet.agent_near(1), fleet.agent_near(2)])
@@ -118,3 +128,31 @@ def test_several_bodies_write_a_log_each(
     assert said == ["braking: no wrench yet"]
     assert (tmp_path / "robot-2-plant.log").read_text() == "robot 2 plant: braking: no wrench yet\n"
     assert capsys.readouterr().err == ""
+    start.close()
+
+
+def routed_pair() -> Fleet:
+    """The pair behind a router, on ports that are free."""
+    found = Reservation("127.0.0.1", 20000, 4)
+    found.close()
+    changes = [f"network.base_port={found.base}", 'network.routers=["127.0.0.1:9"]']
+    return resolved(load_fleet(FLEETS / "pair.toml", changes))
+
+
+def test_who_has_several_bodies_lets_nobody_have_a_second_of_one_of_them() -> None:
+    fleet = routed_pair()
+    held = server.held_ports(fleet, [1, 2])
+    with pytest.raises(BusError, match=r"^cannot listen on tcp/127\.0\.0\.1:\d+: the port is in use"):
+        Bus(listen=fleet.plant_listens(2), connect=[])
+    with pytest.raises(BusError, match=r"^robot 2's plant cannot have tcp/.*: Address already in use; is "):
+        server.held_ports(fleet, [2])
+    for each in held:
+        each.close()
+    Bus(listen=fleet.plant_listens(2), connect=[]).close()
+
+
+def test_its_own_options_are_in_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert all(option in said for option in ("--fleet FILE", "--pose X,Y,", "--with ID,ID", "--logs DIR"))
