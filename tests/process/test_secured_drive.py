@@ -202,7 +202,9 @@ def drove_as_if_alone(fleet: SecuredRobots, folder: Path, other: Path) -> None:
     """What was recorded is what the same fleet does in a simulation, with no orders but its operator's."""
     metrics, recording = json.loads((folder / "metrics.json").read_text()), read_run(folder)
     assert metrics["verdict"]["passed"], metrics["verdict"]
-    assert not metrics["verdict"]["warnings"], metrics["verdict"]
+    # A busy machine may have them drive at a lower rate for a while.
+    warnings = [each for each in metrics["verdict"]["warnings"] if "too slow for its processes" not in each]
+    assert not warnings, metrics["verdict"]
     assert len(recording.missions) == 1
     assert {stop.reason for stop in recording.stops} <= {LONG_BEFORE, BEFORE, OVER}
     assert len(recording.resumes) <= 1
@@ -211,7 +213,6 @@ def drove_as_if_alone(fleet: SecuredRobots, folder: Path, other: Path) -> None:
         status = recording.robots[robot].status
         within = (status.t > 0.1) & (status.t < DRIVE_S - 0.1)
         told = {(status.states[k], status.reasons[k]) for k in np.flatnonzero(within)}
-        # A busy machine may have them drive at a lower rate for a while.
         assert {state for state, why in told if not why.startswith("overloaded: ")} == {"running"}, told
         assert len({*status.mission_versions[within]}) == len({*status.order_versions[within]}) == 1
         measured(f"ticks missed by robot {robot}", status.totals()["overruns"])

@@ -44,6 +44,7 @@ def routers_of(command: Command) -> list[int]:
     return [pid for pid, text in children(command.process.pid).items() if "agent.runtime.router" in text]
 
 
+@pytest.mark.alone
 def test_a_fleet_behind_two_routers_drives_as_it_does_in_virtual_time(tmp_path: Path) -> None:
     two = ("--set", 'network.routers=["10.0.0.1:7447", "10.0.0.2:7447"]', "--duration", f"{DRIVE_S:g}")
     with routed(tmp_path, "delta", *two) as command:
