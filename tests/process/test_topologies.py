@@ -10,6 +10,8 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import pytest
+
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import PlantState, Status, Stop
