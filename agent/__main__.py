@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 
 from agent.common.time import Clock
 from agent.core import Agent
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
+from agent.links.ticks import Ticks, agent_slot_ns
 from agent.runtime.loop import Log
 from agent.runtime.process import Start
 from agent.runtime.process import main as process_main
@@ -22,7 +24,8 @@ def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
     # To all, not only to its neighbours: everybody hears everybody's beacons, and peers do not relay.
     others = fleet.ids[: fleet.index(robot)] if not fleet.routers else ()
     connect = [fleet.agent_endpoint(other) for other in others]
-    return Start(agent, fleet.agent_listens(robot), connect)
+    ticks_from = partial(Ticks, agent, slot_ns=agent_slot_ns(fleet, robot))
+    return Start(agent, fleet.agent_listens(robot), connect, ticks_from=ticks_from)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

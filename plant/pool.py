@@ -143,11 +143,12 @@ class PlantPool:
 
 
 class PoolTicks:
-    """When a pool ticks: whenever one of its plants does, by `Ticks` of its own. As `Ticks` to a loop."""
+    """When a pool ticks: whenever one of its plants does, by `Ticks` of its own. As `Ticks` to a loop, with
+    the same arguments."""
 
-    def __init__(self, pool: PlantPool, now_ns: int) -> None:
+    def __init__(self, pool: PlantPool, now_ns: int, slot_ns: int = 0) -> None:
         self._pool = pool
-        self._each: Final = [(plant, Ticks(plant.node, now_ns)) for plant in pool.pooled]
+        self._each: Final = [(plant, Ticks(plant.node, now_ns, slot_ns)) for plant in pool.pooled]
         self._taken: list[tuple[Ticks, int]] = []
         self._find_next()
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from agent.common.time import Clock
 from agent.fleet.model import Fleet
+from agent.links.ticks import Ticks, plant_slot_ns
 from agent.runtime.bus import BusError
 from agent.runtime.loop import Log
 from agent.runtime.process import Start, StartError, log_name, logger
@@ -49,7 +50,8 @@ def main(
             return _several(fleet, [robot, *beside], clock, log)
         backend = make(fleet, robot, clock, log)
         node = PlantNode(fleet, robot, backend)
-        return Start(node, fleet.plant_listens(robot), [fleet.agent_near(robot)], backend.close)
+        ticks_from = partial(Ticks, node, slot_ns=plant_slot_ns(fleet, robot))
+        return Start(node, fleet.plant_listens(robot), [fleet.agent_near(robot)], ticks_from, backend.close)
 
     def _several(fleet: Fleet, robots: Sequence[int], clock: Clock, log: Log) -> Start:
         if not fleet.routers:
@@ -76,7 +78,8 @@ def main(
                 port.close()
 
         agents = [fleet.agent_near(robot) for robot in robots]
-        return Start(pool, (), agents, close, partial(PoolTicks, pool), robots[1:])
+        ticks_from = partial(PoolTicks, pool, slot_ns=plant_slot_ns(fleet, robots[0]))
+        return Start(pool, (), agents, ticks_from, close, robots[1:])
 
     def _log_of(robot: int) -> Path | None:
         return None if logs is None else logs / log_name(robot, "plant")

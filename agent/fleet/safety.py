@@ -29,8 +29,9 @@ ORDERS_HZ: Final = 200
 """So many a second of all robots of such a fleet say that they have an order, or another one than somebody
 says: all get it at once, statuses acknowledge it, and who lacks it needs to hear of it from one of them."""
 ORDERS_ROBOTS: Final = 100
-"""Of more robots than this fewer say it in a second, as all of them hear each: of twice as many robots half
-of those. But none later than after the longest interval of its beacons."""
+"""Of more robots than this fewer say it in a second, as all of them hear each: of twice as many robots a
+quarter of those, so that all together hear no more. But none later than after the longest interval of its
+beacons."""
 
 _SLOW_SHARE: Final = 0.75
 

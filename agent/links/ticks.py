@@ -1,4 +1,9 @@
-"""When a node ticks, by its own clock: on the fleet's grid, or late where a fault rule wants it (PURE)."""
+"""When a node ticks, by its own clock: on the fleet's grid, or late where a fault rule wants it (PURE).
+
+All ticks of a round have the same time. Where a machine has many agents their loops do not wake in the same
+instant: each has its slot of a part of the period. What a tick decides is the same, for it goes by its time,
+and a message of this round waits for the next (`agent.control.peers.peers.Peers.accept`).
+"""
 
 from __future__ import annotations
 
@@ -6,13 +11,47 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from agent.common import random_streams
+from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
+
+CROWD: Final = 24
+"""More robots than this on a machine have slots: the last of so many would else begin as many ticks late, and
+a fleet whose ticks begin late falls to a lower rate."""
+AGENTS_SHARE: Final = 0.5
+"""The slots of agents lie in so large a part of the period after a round's time."""
+AGENTS_NS_MAX: Final = 100_000_000
+"""And in no more than this: what comes until a loop wakes is not to look as if it came from the future
+(`agent.messages.types.FUTURE_NS_MAX`)."""
+PLANTS_SHARE: Final = 0.25
+"""Plants wake so large a part of the period after their time, half a period after the agents': so the wrench
+of the last slot is there."""
 
 
 def next_tick_ns(now_ns: int, period_ns: int, phase_ns: int) -> int:
     """The first tick after `now_ns`: ticks lie on one grid of the wall clock for every process."""
     return (now_ns - phase_ns) // period_ns * period_ns + period_ns + phase_ns
+
+
+def agent_slot_ns(fleet: Fleet, robot: int) -> int:
+    """How long after a round's time the loop of the agent of `robot` wakes."""
+    beside = _crowd(fleet, robot)
+    if not beside:
+        return 0
+    last_ns = min(AGENTS_SHARE * fleet.period_ns, AGENTS_NS_MAX)
+    return round(last_ns * beside.index(robot) / len(beside))
+
+
+def plant_slot_ns(fleet: Fleet, robot: int) -> int:
+    """The same of its plant, or of the process that its plant shares with others."""
+    return round(PLANTS_SHARE * fleet.period_ns) if _crowd(fleet, robot) else 0
+
+
+def _crowd(fleet: Fleet, robot: int) -> list[int]:
+    """The robots of its machine, if they are that many."""
+    host = fleet.robot(robot).host
+    beside = [each.id for each in fleet.robots if each.host == host]
+    return beside if len(beside) > CROWD else []
 
 
 class Ticked(Protocol):
@@ -52,12 +91,14 @@ class Ticks:
     Args:
         node: of one robot.
         now_ns: the node's clock now; its first deadline is the next of the grid.
+        slot_ns: so long after its time a tick begins.
 
     Attributes:
-        due_ns: time of the next tick.
+        due_ns: when the next tick begins.
     """
 
-    def __init__(self, node: Ticked, now_ns: int) -> None:
+    def __init__(self, node: Ticked, now_ns: int, slot_ns: int = 0) -> None:
+        self._slot_ns: Final = slot_ns
         self._plan: Final = node.plan
         self._node, self._period_ns, self._phase_ns = node, node.period_ns, node.phase_ns
         self._round_ns: Final = node.period_ns
@@ -82,7 +123,7 @@ class Ticks:
         if self._changes != plan.changes:
             self._changes = plan.changes
             self._jittery = any(rule.tick_jitter is not None for rule in plan.rules())
-        self.due_ns = self._deadline_ns + (self._late_ns() if self._jittery else 0)
+        self.due_ns = self._deadline_ns + self._slot_ns + (self._late_ns() if self._jittery else 0)
 
     def take(self, now_ns: int) -> tuple[int, int, int]:
         """The time to give a tick that begins at `now_ns`, the number of ticks that are skipped, and by how
@@ -91,8 +132,8 @@ class Ticks:
         The time is that which was planned, not `now_ns`: what is decided then does not depend on a
         scheduler. Deadlines that have passed meanwhile are skipped.
         """
-        period_ns, tick_ns = self._period_ns, self.due_ns
-        late_ns = now_ns - tick_ns
+        period_ns, tick_ns = self._period_ns, self.due_ns - self._slot_ns
+        late_ns = now_ns - self.due_ns
         if late_ns >= period_ns:
             tick_ns += late_ns // period_ns * period_ns
         missed = (tick_ns - self._deadline_ns) // period_ns

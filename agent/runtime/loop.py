@@ -136,7 +136,7 @@ def loop(
 
     Args:
         names: of whoever is at an endpoint.
-        ticks_from: when the node ticks from a time on, ns, where it is not of one robot.
+        ticks_from: when the node ticks from a time on, ns; None: as it says itself.
     """
     ticks = Ticks(node, clock.now_ns()) if ticks_from is None else ticks_from(clock.now_ns())
     end_by_ns: int | None = None

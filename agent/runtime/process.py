@@ -43,15 +43,15 @@ class Start(NamedTuple):
     """What a process serves: the endpoints to listen on and to connect to; `close` is called at its end.
 
     Attributes:
-        ticks_from: when the node ticks from a time on, ns, where it is not of one robot (`loop`).
+        ticks_from: when the node ticks from a time on, ns (`agent.runtime.loop.loop`).
         beside: robots whose process it is as well.
     """
 
     node: Node
     listen: Sequence[str]
     connect: Sequence[str]
+    ticks_from: Callable[[int], Deadlines]
     close: Callable[[], None] = lambda: None
-    ticks_from: Callable[[int], Deadlines] | None = None
     beside: Sequence[int] = ()
 
 
@@ -193,7 +193,7 @@ def _run(
     if shutdown.asked:
         return False
     clock = RealClock(*FaultPlan(fleet).clock(options.robot))
-    node, listen, connect, close, ticks_from, beside = start(fleet, options.robot, clock, log)
+    node, listen, connect, ticks_from, close, beside = start(fleet, options.robot, clock, log)
     robots = options.robot, *beside
     node.runs_by(clock.machine)
     try:

@@ -69,7 +69,7 @@ class BeaconSchedule:
         self._pause_ns: Final = round((0.5 + shares[1]) * len(fleet.robots) * NS_PER_S / HURRIES_HZ)
         self._first_pause_ns: Final = round(shares[0] * self._pause_ns)
         self._hurried_ns, self._is_missed = 0, False
-        all_s = len(fleet.robots) / ORDERS_HZ * max(1.0, len(fleet.robots) / ORDERS_ROBOTS)
+        all_s = len(fleet.robots) / ORDERS_HZ * max(1.0, len(fleet.robots) / ORDERS_ROBOTS) ** 2
         all_ns = min(round(all_s * NS_PER_S), most_ns) // least_ns * least_ns
         self._again_ns: Final = all_ns
         self._orders_pause_ns: Final = round(shares[0] * all_ns / least_ns) * least_ns

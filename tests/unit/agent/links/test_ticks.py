@@ -10,7 +10,7 @@ from agent.common.time import NS_PER_S
 from agent.core import Agent
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
-from agent.links.ticks import Ticks
+from agent.links.ticks import AGENTS_NS_MAX, CROWD, Ticks, agent_slot_ns, plant_slot_ns
 from agent.messages.codec import encode
 from agent.messages.types import Faults, Mission
 from agent.node import Node
@@ -176,3 +176,62 @@ def test_a_node_may_have_another_period_after_each_tick():
         agent.period_ns = period_ns
         ticks.plan(time_ns)
     assert stamps == [0, 1, 4, 8, 9]  # all of a fleet in the same rounds
+
+
+def many(count: int, hosts: int = 0, rate_hz: float = 10.0) -> Fleet:
+    def host(k: int) -> str:
+        return f', host = "h{k % hosts}"' if hosts else ""
+
+    rows = ", ".join(f"{{ id = {k}, x_m = {k}, y_m = 0{host(k)} }}" for k in range(1, count + 1))
+    sections = "".join(f'[host.h{k}]\naddress = "10.0.0.{k + 1}"\n' for k in range(hosts))
+    return parse_fleet(
+        f"robot = [{rows}]\n"
+        f'fleet = {{ name = "many", rate_hz = {rate_hz} }}\n'
+        f"formation = {{ edges = [{', '.join(f'[{k}, {k + 1}]' for k in range(1, count))}], "
+        "distance_m = 1.0, safe_distance_m = 0.2 }\n"
+        "control = { plant_timeout_s = 1.0, wrench_timeout_s = 1.0 }\n" + sections,
+        source="here",
+    )
+
+
+def test_where_many_share_a_machine_each_agent_has_its_slot_and_plants_wake_after_the_last() -> None:
+    made = many(CROWD + 6)
+    slots = [agent_slot_ns(made, robot) for robot in made.ids]
+    assert slots[0] == 0
+    assert len(set(slots)) == len(slots)
+    period = made.period_ns
+    assert max(slots) < period // 2 < period // 2 + plant_slot_ns(made, 1)
+    assert {plant_slot_ns(made, robot) for robot in made.ids} == {period // 4}
+
+
+@pytest.mark.parametrize("made", [many(CROWD), many(CROWD + 6, hosts=2)], ids=["few", "on two machines"])
+def test_where_they_do_not_all_wake_at_their_time(made: Fleet) -> None:
+    assert {agent_slot_ns(made, robot) for robot in made.ids} == {0}
+    assert {plant_slot_ns(made, robot) for robot in made.ids} == {0}
+
+
+def test_however_long_the_period_a_slot_is_not_long() -> None:
+    made = many(CROWD + 6, rate_hz=4.0)
+    assert max(agent_slot_ns(made, robot) for robot in made.ids) < AGENTS_NS_MAX < made.period_ns // 2
+
+
+def test_a_tick_in_its_slot_is_on_time_and_has_the_time_of_its_round() -> None:
+    slot = 7 * MS
+    ticks = Ticks(plant(fleet()), T0, slot)
+    assert ticks.due_ns == T0 + PERIOD + slot
+    assert ticks.take(ticks.due_ns) == (T0 + PERIOD, 0, 0)
+    assert ticks.take(ticks.due_ns + 3 * MS) == (T0 + PERIOD, 0, 3 * MS)
+    assert ticks.take(ticks.due_ns + 2 * PERIOD + MS) == (T0 + 3 * PERIOD, 2, 2 * PERIOD + MS)
+    ticks.plan(T0 + 3 * PERIOD)
+    assert ticks.due_ns == T0 + 4 * PERIOD + slot
+
+
+def test_a_rule_that_has_ticks_late_has_them_as_late_in_their_slots() -> None:
+    made, slot = fleet(JITTER), 7 * MS
+    at_once, slotted = Ticks(plant(made), T0), Ticks(plant(made), T0, slot)
+    for _ in range(20):
+        assert slotted.due_ns == at_once.due_ns + slot
+        time_ns, missed, late_ns = at_once.take(at_once.due_ns)
+        assert slotted.take(slotted.due_ns) == (time_ns, missed, late_ns)
+        at_once.plan(time_ns)
+        slotted.plan(time_ns)

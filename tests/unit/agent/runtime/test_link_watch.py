@@ -28,7 +28,15 @@ class Bench:
         port = self.server.getsockname()[1]
         self.endpoint = f"tcp/[{address}]:{port}" if ":" in address else f"tcp/{address}:{port}"
         self.opened: set[str] = set()
-        self.opener = LinkWatch([], ["tcp/127.0.0.1:9", self.endpoint], TIMEOUT_S, lambda: self.opened)
+        self.waited_ns = 0
+        """For how long the process has waited for a processor."""
+        self.opener = LinkWatch(
+            [],
+            ["tcp/127.0.0.1:9", self.endpoint],
+            TIMEOUT_S,
+            lambda: self.opened,
+            waited_ns=lambda: self.waited_ns,
+        )
         self.listener = LinkWatch([self.endpoint], [], TIMEOUT_S, set)
         self.sockets = TcpSockets()
         self.now_ns = T0
@@ -113,6 +121,21 @@ def test_nor_where_it_is_looked_at_late(bench: Bench) -> None:
         far.send(b"keep-alive")
         assert bench.look(bench.opener, PERIOD_NS + PAUSED_NS + 1) == []
     assert not ended(far)
+
+
+@pytest.mark.parametrize(("starved", "times"), [(0.02, 1.2), (0.5, 5.0), (3.0, 9.0)])
+def test_a_process_that_waits_for_a_processor_gives_it_longer(
+    bench: Bench, starved: float, times: float
+) -> None:
+    near, far = bench.connect()
+    begun_ns, step_ns = bench.now_ns, NS_PER_S // 10
+    while not bench.look(bench.opener, step_ns):
+        bench.waited_ns += round(starved * step_ns)
+        near.send(b"keep-alive")
+        far.send(b"keep-alive")
+    passed_ns = bench.now_ns - begun_ns
+    assert abs(passed_ns - times * DEAF_NS) <= 2 * step_ns
+    assert ended(far)
 
 
 def test_a_link_from_which_something_is_read_is_not(bench: Bench) -> None:

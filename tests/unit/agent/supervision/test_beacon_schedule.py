@@ -303,7 +303,7 @@ def test_what_all_hurried_for_at_once_they_do_not_hurry_for_at_once_again(spread
 
 
 @pytest.mark.parametrize("spread", [True])
-@pytest.mark.parametrize(("robots", "most_hz", "told_s"), [(60, 200, 0.6), (100, 200, 0.8), (200, 100, 2.2)])
+@pytest.mark.parametrize(("robots", "most_hz", "told_s"), [(60, 200, 0.6), (100, 200, 0.8), (200, 50, 4.2)])
 def test_an_order_is_told_by_no_more_robots_in_a_second_than_all_can_hear(
     robots: int, most_hz: int, told_s: float, spread: bool
 ) -> None:
