@@ -34,7 +34,8 @@ def next_tick_ns(now_ns: int, period_ns: int, phase_ns: int) -> int:
 
 
 def agent_slot_ns(fleet: Fleet, robot: int) -> int:
-    """How long after a round's time the loop of the agent of `robot` wakes."""
+    """How long after a round's time the loop of the agent of `robot` wakes, ns. `FleetError` when there is no
+    such robot."""
     beside = _crowd(fleet, robot)
     if not beside:
         return 0
@@ -43,7 +44,7 @@ def agent_slot_ns(fleet: Fleet, robot: int) -> int:
 
 
 def plant_slot_ns(fleet: Fleet, robot: int) -> int:
-    """The same of its plant, or of the process that its plant shares with others."""
+    """The same of its plant, or of the process that its plant shares with others, ns."""
     return round(PLANTS_SHARE * fleet.period_ns) if _crowd(fleet, robot) else 0
 
 
@@ -91,7 +92,7 @@ class Ticks:
     Args:
         node: of one robot.
         now_ns: the node's clock now; its first deadline is the next of the grid.
-        slot_ns: so long after its time a tick begins.
+        slot_ns: so long after its time a tick begins, ns.
 
     Attributes:
         due_ns: when the next tick begins.

@@ -107,7 +107,7 @@ class LinkWatch:
             is connected, when that was so before, some times as long.
         opened: own addresses (``HOST:PORT``) of all links of this process that are open.
         one_of: endpoints to one of which there should be a link at any time.
-        waited_ns: for how long this process has waited for a processor.
+        waited_ns: for how long the threads of this process have waited for a processor, together, ns.
 
     Attributes:
         period_ns: when to look again.
