@@ -50,7 +50,7 @@ from agent.supervision.outbox import Outbox
 from agent.supervision.overload import Overload
 from agent.supervision.situation import Situation
 from agent.supervision.state_machine import ACTIVE, DRIVING, State, step
-from agent.supervision.status import StatusReport
+from agent.supervision.status import StatusReport, status_hz
 
 STOOD_NS: Final = 2 * OUTAGE_NS
 """It is told for how much of the time since then the own process did not run: whoever hears it looks no
@@ -130,7 +130,7 @@ class Agent:
         )
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected
-        self._report = StatusReport(self.rejected, self._overload, self._radio)
+        self._report = StatusReport(self.rejected, self._overload, self._radio, status_hz(fleet))
         self._route(name, others)
 
         self.alive_keys: Final = (key_expressions.alive(name, robot, "agent"),)

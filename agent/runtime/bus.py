@@ -273,7 +273,7 @@ class _Links:
         watch = self._watch
         if now_ns < self._whole_due_ns and self._calm.lasts():
             watch.still_calm(now_ns)
-            self.due_ns = now_ns + watch.period_ns
+            self.due_ns = now_ns + (SOON_NS if self._calm.waits else watch.period_ns)
             return []
         self._whole_due_ns = now_ns + WHOLE_LOOK_NS
         found, deaf = self._sockets.look(), []

@@ -17,20 +17,17 @@ two cores had shut 78 of its links down in a start, and had to do their declarat
 
 from __future__ import annotations
 
-import fcntl
 import re
 import socket
-import termios
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
-from struct import Struct
 from typing import Final
 
 from agent.common.time import NS_PER_S
 from agent.runtime.run_delay import run_delay_ns
-from agent.runtime.tcp_sockets import TcpSocket, borrowed, held
+from agent.runtime.tcp_sockets import TcpSocket, borrowed, held, info_of, waiting_on
 
 PERIOD_NS: Final = NS_PER_S // 2
 """How often all links are looked at."""
@@ -53,8 +50,6 @@ SENT_LOOKS: Final = 2
 PAUSED_NS: Final = NS_PER_S // 2
 """A look that comes so much later than it was due is of a process that did not run, or not as it should:
 nothing can be said of that time."""
-_INFO: Final = Struct("=B7x4x4x4x4x4x4x4x4x4xI4x4x4x4x4x4x4x4x4x4x4x4x4x4x8x8xQQ")
-"""Of struct tcp_info (linux/tcp.h): state, last_data_sent (ms), bytes_acked, bytes_received."""
 _ESTABLISHED, _SYN_SENT = 1, 2
 _ENDPOINT: Final = re.compile(r"[a-z]+/(.+):(\d+)")
 _TABLES: Final = Path("/proc/self/net/tcp"), Path("/proc/self/net/tcp6")
@@ -111,7 +106,8 @@ class LinkWatch:
 
     Attributes:
         period_ns: when to look again.
-        calm: its links, where nothing waits on any, none is being opened, and none lacks; else None.
+        calm: its links, where nothing waits on any for longer, none is being opened, and none lacks; else
+            None.
     """
 
     def __init__(
@@ -159,7 +155,7 @@ class LinkWatch:
                 self._links[each.inode] = link
                 if link is None:
                     continue
-                waiting = _waiting(each.number)
+                waiting = waiting_on(each.number)
                 if link.is_open and not waiting:
                     link.since_ns = 0
                     calm.append(each)
@@ -169,6 +165,8 @@ class LinkWatch:
                 stalls = link.is_open and link.since_ns != now_ns
                 waits = waits or stalls or not link.is_open
                 stalled += stalls
+                if link.is_open and not stalls:
+                    calm.append(each)
                 if is_deaf:
                     deaf.append((each, link))
                 elif not link.is_open:
@@ -218,7 +216,7 @@ class LinkWatch:
             host, port = found.getsockname()[:2]
             if port in self._ports:
                 return _Link("", "", 0)
-            state, last_sent_ms, _, received = _info(found)
+            state, last_sent_ms, _, received = info_of(found)
             if state == _SYN_SENT:
                 there = _dialled(which.inode)
             else:
@@ -241,7 +239,7 @@ class LinkWatch:
     def _is_deaf(self, which: TcpSocket, link: _Link, waiting: int, now_ns: int) -> bool:
         """Whether nothing is read from a link; notes when that was so last."""
         with borrowed(which.number) as found:
-            state, _, acked, received = _info(found)
+            state, _, acked, received = info_of(found)
         link.is_dialling = state == _SYN_SENT
         read = received - waiting
         if read != link.read or not link.since_ns:
@@ -280,15 +278,6 @@ class LinkWatch:
 def _shut(which: TcpSocket) -> None:
     with suppress(OSError), held(which) as found:
         found.shutdown(socket.SHUT_RDWR)
-
-
-def _waiting(number: int) -> int:
-    """How many bytes wait to be read."""
-    return int.from_bytes(fcntl.ioctl(number, termios.FIONREAD, bytes(4)), "little")
-
-
-def _info(found: socket.socket) -> tuple[int, int, int, int]:
-    return _INFO.unpack(found.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size))
 
 
 def _parts(endpoint: str) -> tuple[str, int]:

@@ -7,12 +7,19 @@ import os
 import select
 import socket
 import stat
+import termios
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
+from struct import Struct
 from typing import Final, NamedTuple
 
 FOLDER: Final = "/dev/fd"
 """Lists the file descriptors of the process."""
+
+
+_INFO: Final = Struct("=B7x4x4x4x4x4x4x4x4x4xI4x4x4x4x4x4x4x4x4x4x4x4x4x4x8x8xQQ")
+"""Of struct tcp_info (linux/tcp.h): state, last_data_sent (ms), bytes_acked, bytes_received."""
+_CALM: Final = select.EPOLLOUT, select.EPOLLOUT | select.EPOLLIN
 
 
 class TcpSocket(NamedTuple):
@@ -54,11 +61,18 @@ class TcpSockets:
 
 class Calm:
     """Whether nothing has changed since all links were looked at and nothing waited on any: three system
-    calls, whatever else is open, and however many links there are."""
+    calls, whatever else is open, and however many links there are, and two more for each on which something
+    waits. It mostly does so for less than a millisecond: where something has been read since, that is calm.
+
+    Attributes:
+        waits: whether something waited on a link when it was asked last.
+    """
 
     def __init__(self) -> None:
         self._poll: select.epoll | None = None
         self._links = self._lowest = 0
+        self._read: dict[int, int] = {}
+        """By descriptor: how many bytes had been read of those on which something waited at the last look."""
 
     def begin(self, links: Collection[TcpSocket]) -> None:
         """Notes that these are all links, and that nothing waits on them."""
@@ -74,17 +88,53 @@ class Calm:
 
     def end(self) -> None:
         """Notes that something may have changed."""
+        self._read = {}
         if self._poll is not None:
             self._poll.close()
             self._poll = None
 
+    @property
+    def waits(self) -> bool:
+        return bool(self._read)
+
     def lasts(self) -> bool:
-        """Whether each link is there and open, nothing waits on it, and nothing else was opened."""
+        """Whether each link is there and open, what waits on it was not there at the last look, and nothing
+        else was opened."""
         if self._poll is None or lowest_free(self._poll.fileno()) != self._lowest:
             return False
         # One that is closed is not among them any more, though another may have its number.
         found = self._poll.poll(0)
-        return len(found) == self._links and all(event == select.EPOLLOUT for _, event in found)
+        if len(found) != self._links:
+            return False
+        before, self._read = self._read, {}
+        for number, event in found:
+            if event == select.EPOLLOUT:
+                continue
+            read = _read_of(number) if event in _CALM else None
+            if read is None or read == before.get(number):
+                return False
+            self._read[number] = read
+        return True
+
+
+def _read_of(number: int) -> int | None:
+    """How many bytes have been read from a link on which some wait; None where it is closed."""
+    try:
+        with borrowed(number) as found:
+            waiting, received = waiting_on(number), info_of(found)[3]
+    except OSError:
+        return None
+    return received - waiting if waiting else None
+
+
+def waiting_on(number: int) -> int:
+    """How many bytes wait to be read."""
+    return int.from_bytes(fcntl.ioctl(number, termios.FIONREAD, bytes(4)), "little")
+
+
+def info_of(found: socket.socket) -> tuple[int, int, int, int]:
+    """Of a TCP connection: its state, how long ago it sent data (ms), bytes acknowledged, bytes received."""
+    return _INFO.unpack(found.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size))
 
 
 def lowest_free(number: int) -> int:

@@ -8,15 +8,25 @@ from typing import Any, Final
 
 from agent.common.time import NS_PER_S
 from agent.control.peers.peer import NEVER, Peer
+from agent.fleet.model import Fleet
 from agent.links.radio import Radio
 from agent.messages.types import NeighbourStatus, Status, Total
 from agent.supervision.overload import Overload
 
-STATUS_PERIOD_NS: Final = NS_PER_S // 5
+STATUS_HZ: Final = 5.0
+"""How often an agent says its status to operators, at the full rate of a drive..."""
+STATUSES_HZ: Final = 500.0
+"""...where all together say no more than so many a second. One that is waited for comes at once: of another
+state, or of an order that is acknowledged."""
 OPENED_ANEW_NS: Final = 5 * NS_PER_S
 """For so long a status says that a link was opened anew."""
 STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
+
+
+def status_hz(fleet: Fleet) -> float:
+    """How often an agent of `fleet` says its status while nothing changes, 1/s."""
+    return min(STATUS_HZ, STATUSES_HZ / len(fleet.robots))
 
 
 class StatusReport:
@@ -26,6 +36,7 @@ class StatusReport:
         rejected: messages that were not valid, by reason.
         overload: of its own process.
         radio: what drops messages on purpose, None where nothing does.
+        hz: how often a status is due, 1/s.
 
     Attributes:
         ages_us: ages of neighbours' states that the law worked with since the last status, us.
@@ -34,7 +45,14 @@ class StatusReport:
         digest: of its fleet file, once it has refused a mission for another one: `Status.digest`.
     """
 
-    def __init__(self, rejected: Counter[str], overload: Overload, radio: Radio[Any] | None = None) -> None:
+    def __init__(
+        self,
+        rejected: Counter[str],
+        overload: Overload,
+        radio: Radio[Any] | None = None,
+        hz: float = STATUS_HZ,
+    ) -> None:
+        self._period_ns: Final = round(NS_PER_S / hz)
         self._rejected, self._overload, self._radio = rejected, overload, radio
         self._interventions: Counter[str] = Counter()
         self.ages_us: Final[list[int]] = []
@@ -138,7 +156,7 @@ class StatusReport:
             self.digest,
         )
         self._sequence += 1
-        self._due_ns = now_ns + STATUS_PERIOD_NS
+        self._due_ns = now_ns + self._period_ns
         self._tick_us.clear()
         self.ages_us.clear()
         return status

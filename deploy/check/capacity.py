@@ -14,9 +14,10 @@ from typing import Final, NamedTuple
 from agent.common.compiled import COMPILED
 from agent.control.safety_distances import barrier_rate, speed_max
 from agent.fleet.model import Fleet
+from agent.supervision.status import STATUS_HZ, STATUSES_HZ
 from deploy.check.check import check
 from deploy.check.finding import Finding
-from deploy.check.network import STATUS_HZ, load_of
+from deploy.check.network import load_of
 from deploy.check.sharing import sharing
 
 ROBOTS_MIN: Final = 13
@@ -92,7 +93,8 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
     beacons = load.beacons * max(1.0, (count - 1) / max(1, n - 1))
     heard = load.hands + beacons + load.own
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    recorded = count * (3.0 * rate + rate / fleet.beacon_rounds_max + STATUS_HZ)
+    statuses = min(count * STATUS_HZ, STATUSES_HZ)
+    recorded = count * (3.0 * rate + rate / fleet.beacon_rounds_max) + statuses
     routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
     shared = sum(map(len, sharing(fleet))) / n
     plant_s = shared * SHARED_TICK_S + (1.0 - shared) * PLANT_TICK_S

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,11 +11,9 @@ from agent.control.safety_distances import sensing_distance
 from agent.fleet.hosts import MESH_ROBOTS_MAX
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, resolve, start_hands
+from agent.supervision.status import status_hz
 from deploy.check.finding import Finding
 from deploy.check.safety import parting
-
-STATUS_HZ: Final = 5.0
-"""How often an agent says its status to operators."""
 
 
 class Load(NamedTuple):
@@ -83,7 +81,7 @@ def load_of(fleet: Fleet) -> Load:
     if not fleet.is_routed:
         return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0)
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    to_operator = n * (3.0 * rate + beacon_hz(fleet) + STATUS_HZ)
+    to_operator = n * (3.0 * rate + beacon_hz(fleet) + status_hz(fleet))
     return Load(3 * n, hands, beacons, rate, n * (hands + beacons) + to_operator)
 
 

@@ -78,8 +78,8 @@ class Server:
         self._pid = os.getpid()
         self._numbers: dict[int, int] = {}
         """Who asked for a process gave it a number: those of the system are given again."""
-        self._yields = False
-        """Whether what it forks leaves more of the processors to others."""
+        self._yields = 0
+        """How much nicer what it forks is than others, once it has started."""
         self._starting: dict[int, float] = {}
         """Pipes whose other end a process closes when it has started, and until when that is waited for."""
         self._null = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
@@ -133,7 +133,7 @@ class Server:
             return None
         if "yields" in request:
             scheduling.yield_at_start()
-            self._yields = True
+            self._yields = request["yields"]
             return None
         (log,) = handles
         forked = Forked(request["module"], request["arguments"])
@@ -156,7 +156,7 @@ class Server:
             os.close(starting)
             preloaded.on_start(partial(os.close, has_started))
             if self._yields and not request["for_many"]:
-                preloaded.on_start(scheduling.yield_once_started)
+                preloaded.on_start(partial(scheduling.yield_once_started, self._yields))
             self._become(forked, log)
             os.write(has_started, b".")
             return forked

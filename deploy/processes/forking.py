@@ -94,10 +94,10 @@ class ForkServer:
         if self._can_be_asked():
             self._ask({"fleet": str(fleet_file)})
 
-    def yields(self) -> None:
+    def yields(self, niceness: int) -> None:
         """Has all that it will fork share processors as many robots do (`deploy.processes.scheduling`)."""
         if self._can_be_asked():
-            self._ask({"yields": True})
+            self._ask({"yields": niceness})
 
     def start(
         self, module: str, arguments: Sequence[str], log: int, *, for_many: bool = False

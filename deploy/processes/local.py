@@ -21,6 +21,7 @@ from deploy.faults.process_actions import Action, Process
 from deploy.processes.child import Child, end_all, name_of
 from deploy.processes.forking import ForkServer
 from deploy.processes.placement import Vehicle
+from deploy.processes.scheduling import niceness
 
 VEHICLE: Final = "vehicle"
 """Role of a simulated rover. It is no process of the fleet's: it is not on the bus, and no rule names it."""
@@ -99,7 +100,7 @@ class Processes:
                 number, ROUTER, "agent.runtime.router", arguments, log, name=f"router {number}"
             )
         if fleet.is_routed and self._server is not None:
-            self._server.yields()
+            self._server.yields(niceness(len(fleet.robots)))
         # Plugins are the code of others: each process imports them for itself.
         has_plugins = fleet.control.law is not None or any(robot.kind.is_plugin for robot in fleet.robots)
         if self._server is not None and not has_plugins:

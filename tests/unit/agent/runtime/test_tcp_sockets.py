@@ -78,14 +78,31 @@ def test_it_is_calm_while_nothing_comes_goes_or_is_opened(link: tuple[socket.soc
     calm = calm_of(near, far)
     assert calm.lasts()
     assert calm.lasts()
+    assert not calm.waits
     far.send(b"waits")
+    assert calm.lasts()
+    assert calm.waits
     assert not calm.lasts()
     near.recv(9)
     assert calm.lasts()
+    assert not calm.waits
     with socket.socket():
         assert not calm.lasts()
     assert calm.lasts()
     calm.end()
+    assert not calm.lasts()
+
+
+def test_it_is_calm_while_what_waits_is_read(link: tuple[socket.socket, socket.socket]) -> None:
+    """On a robot's link something waits at every other look, and something else at the next."""
+    near, far = link
+    calm = calm_of(near, far)
+    for _ in range(3):
+        far.send(b"waits")
+        assert calm.lasts()
+        assert calm.waits
+        near.recv(3)
+    assert calm.lasts()
     assert not calm.lasts()
 
 

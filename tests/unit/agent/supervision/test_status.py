@@ -13,6 +13,7 @@ from agent.messages.types import (
     Stop,
 )
 from agent.supervision.state_machine import State
+from agent.supervision.status import STATUS_HZ, STATUSES_HZ, status_hz
 from tests.unit.agent.agent_bench import (
     PERIOD,
     STOP,
@@ -31,6 +32,20 @@ def test_status_comes_five_times_a_second_and_at_every_change():
     bench.plant = {}
     states = [out.status.state for out in bench.run(2)]
     assert states == ["waiting", "running"]
+
+
+def test_a_hundred_robots_and_more_say_no_more_together():
+    assert [status_hz(crowd(robots)) for robots in (1, 100, 200)] == [STATUS_HZ, STATUS_HZ, 2.5]
+    assert 200 * status_hz(crowd(200)) == STATUSES_HZ
+
+
+def crowd(robots: int) -> Fleet:
+    rows = ", ".join(f"{{ id = {robot}, x_m = {robot}, y_m = 0 }}" for robot in range(1, robots + 1))
+    edges = ", ".join(f"[{robot}, {robot + 1}]" for robot in range(1, robots))
+    formation = f"{{ edges = [{edges}], distance_m = 1.0, safe_distance_m = 0.2 }}"
+    return parse_fleet(
+        f'robot = [{rows}]\nfleet = {{ name = "crowd" }}\nformation = {formation}\n', source="here"
+    )
 
 
 def test_status_tells_times_ages_and_counters():

@@ -129,7 +129,7 @@ def test_all_that_is_forked_can_be_told_to_yield(server: ForkServer, tmp_path: P
     own = os.getpriority(os.PRIO_PROCESS, 0)
     before = start(server, tmp_path / "before", "tell")
     for _ in range(2):
-        server.yields()
+        server.yields(YIELDING)
     after = start(server, tmp_path / "after", "tell")
     assert scheduled(before.pid) == (os.sched_getscheduler(0), own)
     assert scheduled(after.pid) == (os.SCHED_BATCH, max(own, STARTING))

@@ -20,6 +20,7 @@ from deploy.faults.process_actions import Action
 from deploy.processes import local
 from deploy.processes.local import Processes
 from deploy.processes.placement import Vehicle
+from deploy.processes.scheduling import YIELDING
 from plant.backend import Plant
 
 POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)
@@ -196,7 +197,8 @@ class Server:
         self.read: list[Path] = []
         self.yielded = 0
 
-    def yields(self) -> None:
+    def yields(self, niceness: int) -> None:
+        assert niceness == YIELDING
         self.yielded += 1
 
     def preload(self, fleet_file: Path) -> None:

@@ -11,7 +11,14 @@ from typing import Final
 import pytest
 
 from deploy.processes import scheduling
-from deploy.processes.scheduling import STARTING, YIELDING, interrupting_nobody
+from deploy.processes.scheduling import (
+    CROWD,
+    CROWD_YIELDING,
+    STARTING,
+    YIELDING,
+    interrupting_nobody,
+    niceness,
+)
 
 TELL: Final = "import os; print(os.sched_getscheduler(0), os.nice(0))"
 
@@ -43,12 +50,12 @@ def test_who_yields_is_nicer_once() -> None:
 
 THREADS: Final = """
 import os, threading
-from deploy.processes.scheduling import yield_at_start, yield_once_started
+from deploy.processes.scheduling import YIELDING, yield_at_start, yield_once_started
 yield_at_start()
 done = threading.Event()
 thread = threading.Thread(target=done.wait)
 thread.start()
-yield_once_started()
+yield_once_started(YIELDING)
 print(os.nice(0), os.getpriority(os.PRIO_PROCESS, thread.native_id))
 done.set()
 """
@@ -58,6 +65,10 @@ def test_who_has_started_is_nicer_with_all_its_threads() -> None:
     least = max(os.nice(0), STARTING) + YIELDING - STARTING
     told = subprocess.check_output([sys.executable, "-c", THREADS]).split()
     assert list(map(int, told)) == [min(19, least)] * 2
+
+
+def test_more_than_a_hundred_leave_a_router_still_more() -> None:
+    assert [niceness(robots) for robots in (30, CROWD, CROWD + 1)] == [YIELDING, YIELDING, CROWD_YIELDING]
 
 
 def test_a_system_that_has_no_such_thing_or_forbids_it_goes_without(monkeypatch: pytest.MonkeyPatch) -> None:
