@@ -20,6 +20,7 @@ FOLDER: Final = "/dev/fd"
 _INFO: Final = Struct("=B7x4x4x4x4x4x4x4x4x4xI4x4x4x4x4x4x4x4x4x4x4x4x4x4x8x8xQQ")
 """Of struct tcp_info (linux/tcp.h): state, last_data_sent (ms), bytes_acked, bytes_received."""
 _CALM: Final = select.EPOLLOUT, select.EPOLLOUT | select.EPOLLIN
+"""Of a link that is open and takes what is sent: nothing, or something, waits to be read."""
 
 
 class TcpSocket(NamedTuple):
@@ -98,8 +99,8 @@ class Calm:
         return bool(self._read)
 
     def lasts(self) -> bool:
-        """Whether each link is there and open, what waits on it was not there at the last look, and nothing
-        else was opened."""
+        """Whether each link is there and open, something was read from it since the last look if something
+        waited then and does now, and nothing else was opened."""
         if self._poll is None or lowest_free(self._poll.fileno()) != self._lowest:
             return False
         # One that is closed is not among them any more, though another may have its number.

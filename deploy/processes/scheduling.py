@@ -21,8 +21,8 @@ from typing import Final
 
 YIELDING: Final = 10
 """So much nicer are robots than their router and the command: those have nine times their share."""
-CROWD: Final = 100
-CROWD_YIELDING: Final = 19
+MANY: Final = 100
+MANY_YIELDING: Final = 19
 """More robots than the first are nicer still: where two hundred are ready to run, nine times the share of
 each is too little for a router. Fewer keep what they have: whatever else runs on the machine takes it."""
 STARTING: Final = 5
@@ -57,13 +57,13 @@ def yield_at_start() -> None:
 
 def niceness(robots: int) -> int:
     """How much nicer so many robots on one machine are than who serves them all, once they have started."""
-    return CROWD_YIELDING if robots > CROWD else YIELDING
+    return MANY_YIELDING if robots > MANY else YIELDING
 
 
-def yield_once_started(niceness: int) -> None:
+def yield_once_started(nicer_by: int) -> None:
     """From now on all threads of this process leave still more to others: they are nicer by so much than
     before `yield_at_start`. On Linux each thread has a niceness of its own."""
-    more = niceness - STARTING
+    more = nicer_by - STARTING
     if not _THREADS.exists():
         os.nice(more)
         return

@@ -12,8 +12,8 @@ import pytest
 
 from deploy.processes import scheduling
 from deploy.processes.scheduling import (
-    CROWD,
-    CROWD_YIELDING,
+    MANY,
+    MANY_YIELDING,
     STARTING,
     YIELDING,
     interrupting_nobody,
@@ -68,7 +68,7 @@ def test_who_has_started_is_nicer_with_all_its_threads() -> None:
 
 
 def test_more_than_a_hundred_leave_a_router_still_more() -> None:
-    assert [niceness(robots) for robots in (30, CROWD, CROWD + 1)] == [YIELDING, YIELDING, CROWD_YIELDING]
+    assert [niceness(robots) for robots in (30, MANY, MANY + 1)] == [YIELDING, YIELDING, MANY_YIELDING]
 
 
 def test_a_system_that_has_no_such_thing_or_forbids_it_goes_without(monkeypatch: pytest.MonkeyPatch) -> None:
