@@ -136,7 +136,7 @@ class Recording:
         that came up after it is not held.
         """
         found = self._halts(robot)
-        begun_s = self._begun_s
+        begun_s = self.begun_s
         if begun_s is None or not found or found[-1][1] <= begun_s or self._knows_of_before(robot, begun_s):
             return found
         # Stops within the drive count all the same.
@@ -146,7 +146,7 @@ class Recording:
         ]
 
     @cached_property
-    def _begun_s(self) -> float | None:
+    def begun_s(self) -> float | None:
         """Fleet time at which the drive was ordered, None when it was not."""
         times = [mission.time_ns for mission in self.missions if mission.epoch_ns == self.epoch_ns]
         return self.fleet_time_s(min(times)) if times else None

@@ -86,17 +86,22 @@ def _first(times: Floats, bad: Flags, down: Down, limit_s: float, end_s: float) 
 
 
 def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
-    """After a stop no plant drives until a resume, and every body comes to a stand."""
+    """After a stop no plant drives until a resume, and every body comes to a stand.
+
+    How fast it braked after a stop from before this drive is a matter of the drive that it ended.
+    """
     reacts_s = STOP_S + reaction_s(recording) - REACTION_S
     found, is_checked = [], False
+    begun_s = -np.inf if recording.begun_s is None else recording.begun_s
     for robot, data in recording.robots.items():
         limit_s = reacts_s + _wrench_delay_s(recording, robot)
         for start_s, end_s in recording.halts(robot):
             is_checked = True
             if fleet.hosts:
                 start_s += _arrives_s(recording, data, start_s)
+            from_s = begun_s if start_s < begun_s else start_s
             t = data.plant.t
-            after = (t > start_s + limit_s) & (t < end_s)
+            after = (t > max(start_s + limit_s, from_s)) & (t < end_s)
             driven = t[after & (data.plant["driving"] > 0.0)]
             if len(driven):
                 message = (
@@ -106,7 +111,7 @@ def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] 
                 )
                 found.append(Violation("stopped", float(driven[0]), message))
                 continue
-            moves_s = _moves(recording, fleet, data, start_s, end_s, limit_s)
+            moves_s = _moves(recording, fleet, data, (start_s, end_s), from_s, limit_s)
             if moves_s is not None:
                 message = f"Robot {robot} still moved at {moves_s:.2f} s, after the stop at {start_s:.2f} s."
                 found.append(Violation("stopped", moves_s, message))
@@ -122,9 +127,16 @@ def _arrives_s(recording: Recording, data: RobotData, given_s: float) -> float:
 
 
 def _moves(
-    recording: Recording, fleet: Fleet, data: RobotData, start_s: float, end_s: float, limit_s: float
+    recording: Recording,
+    fleet: Fleet,
+    data: RobotData,
+    halt: tuple[float, float],
+    from_s: float,
+    limit_s: float,
 ) -> float | None:
-    """First time at which a body still moves although it has had the time to brake; None when it stands."""
+    """First time from `from_s` on at which a body still moves although it has had the time to brake within
+    `halt`; None when it stands."""
+    start_s, end_s = halt
     body = fleet.robot(data.id)
     t, speed = data.body.t, np.abs(data.body["speed"])
     is_own = data.body["obeying"] > 0.0
@@ -134,7 +146,7 @@ def _moves(
         most = float(speed[at : at + 20].max(initial=0.0))
         hardest = BRAKE_DECELERATION_MAX if body.max_force_n is None else body.max_force_n / body.mass_kg
         braking_s = most / min(BRAKE_DECELERATION_MAX, hardest) + 5.0 * BRAKE_TIME_S
-    due = t > start_s + limit_s + braking_s
+    due = t > max(start_s + limit_s + braking_s, from_s)
     for down in downs(recording, data.id, "plant"):
         # It could not brake by rule while it was down, and begins when it is back.
         due &= ~((t > down.start_s) & (t <= down.end_s + limit_s + braking_s))

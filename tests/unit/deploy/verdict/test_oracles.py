@@ -414,6 +414,22 @@ def test_a_stop_from_before_the_drive_holds_for_whom_it_still_held() -> None:
     assert all("after the stop at 1.00 s" in sentence for sentence in drives_on)
 
 
+def test_how_late_it_braked_before_the_drive_is_none_of_this_drives() -> None:
+    """The drive that the stop ended has it in its own verdict."""
+
+    def drive_from_1_s(t: float, m: Message) -> Message:
+        return m._replace(time_ns=ns(1.0)) if type(m) is Mission else m
+
+    def until(end_s: float) -> list[str]:
+        knew = both(knows(1, order_version=7), knows(2, order_version=7))
+        late = both(drive_from_1_s, knew, braking(1, end_s), braking(2, -0.5))
+        return found("stopped", PAIR, extra=[stop(0.0, 7)], change=late) or []
+
+    assert until(0.9) == []
+    (sentence,) = until(1.5)
+    assert sentence.startswith("The plant of robot 1 drove at 1.02 s, 1.02 s after the stop at 0.00 s")
+
+
 def test_stopped_robots_stand() -> None:
     def rolls(t: float, m: Message) -> Message:
         return m._replace(driving=False, speed=0.2) if type(m) is PlantState and t > 1.1 else m
