@@ -37,7 +37,7 @@ FASTER: Final = 1.2
 """No body is so many times as fast as robots may be."""
 SILENT_PER_LOOK: Final = 2
 """Of so many that have fallen silent it is worked out at one look where they may be."""
-REST_MAX_NS: Final = NS_PER_S
+REST_MAX_NS: Final = 3 * NS_PER_S
 """Whoever is far away is looked at again after so long at the latest."""
 LOOK_MANY_NS: Final = 3 * NS_PER_S // 20
 """In a large fleet whoever is not near is looked at again at the second look after this at the soonest: that

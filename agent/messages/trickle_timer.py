@@ -65,18 +65,19 @@ class TrickleTimer:
             return True
         return self._again_ns is not None and since_ns >= self.least_ns
 
-    def said(self, now_ns: int, *, most_ns: int | None = None) -> int:
+    def said(self, now_ns: int, *, most_ns: int | None = None, growth: int = 2) -> int:
         """It is said at `now_ns`: returns within how long it is said again, ns.
 
         Args:
             most_ns: a longest interval for this time that is shorter than the usual; None: the usual.
+            growth: an interval that follows another is so many times as long.
         """
         most_ns = self.most_ns if most_ns is None else max(self.least_ns, min(most_ns, self.most_ns))
         if self._again_ns is not None or self._said_ns is None:
             self._interval_ns = max(self.least_ns, min(self._again_ns or 0, most_ns))
             self._is_spread = False
         else:
-            self._interval_ns = min(2 * self._interval_ns, most_ns)
+            self._interval_ns = min(growth * self._interval_ns, most_ns)
         share = 1.0
         if not self._is_spread:
             self._is_spread = self._interval_ns == most_ns

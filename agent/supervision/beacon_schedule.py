@@ -5,6 +5,9 @@ grow with the fleet. There others carry a robot forward at the velocity that it 
 IEEE 1278.1), and its next beacon comes when it is elsewhere by more than they allow for (U2), has something
 else to tell, or finds that others lack what it has told; after that again soon, in case that was lost; and
 after `Fleet.beacon_rounds_max`, or `WAY_M`, at the latest. Each beacon says until when the next one comes.
+The velocity that is told is the mean one at which the law takes the robot on. One that is held up does not go
+where the law would have it: where that was wrong, and the velocity that it had at the last beacon was nearer,
+it tells the velocity that it has.
 What happens to all at once, as an order does, they tell in turn, and again each at its own times.
 """
 
@@ -14,6 +17,7 @@ from collections.abc import Callable, Collection
 from math import hypot
 from typing import Final
 
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.beliefs import said_doubt
 from agent.fleet.model import Fleet
@@ -30,10 +34,21 @@ HURRIES_HZ: Final = 10
 stands, whom it does not hear, what it knows of those. What a fleet adds to its own trouble is bounded."""
 APART: Final = (0.7548776662466927, 0.5698402909980532)
 """Their multiples spread evenly over the unit square, however many there are (Roberts' R2 sequence)."""
+GROWTH: Final = 2
+GROWTH_SURE: Final = 64
+"""So many times as long as the one before is the interval after a beacon that says again what another has
+said: as in RFC 6206 where links lose messages, else the longest at once. One that is lost is said again
+anyway, and of a crowd that comes together these were most of what each heard."""
+ONWARD: Final = 0.75
+"""For so much of the time to the next beacon is the mean velocity told: what others allow for grows with its
+age, and is least at first."""
 RELAY_NS: Final = NS_PER_S
 """A robot that others do not hear is told of again after so long at the latest."""
 
 _Marks = tuple[int, int, int, int]
+Onward = Callable[[Beacon, int], Vector | None]
+"""(where a robot is, time ns) -> mean velocity (m/s) at which the law takes it on for so long; None without
+a place."""
 
 
 class BeaconSchedule:
@@ -41,6 +56,7 @@ class BeaconSchedule:
 
     Args:
         phase_ns: of its ticks.
+        onward: where it goes; None: others carry it forward at the velocity that it has.
 
     Attributes:
         is_seldom: whether there are turns at which nothing is said.
@@ -48,12 +64,17 @@ class BeaconSchedule:
             one: of all others that are not there yet, in a fleet that starts, everybody would tell everybody.
             None once a mission is near: then of all.
         tick_ns: time between two ticks.
+        loses: whether messages are lost on links all the time.
         level: by how many steps the others want the rate to fall: who wants no more has no news.
         stands: whether all stand for an overloaded machine. Nobody then drives into one that others do not
             hear: they are told of it when the next beacon is due.
     """
 
-    def __init__(self, fleet: Fleet, robot: int, phase_ns: int) -> None:
+    def __init__(self, fleet: Fleet, robot: int, phase_ns: int, onward: Onward | None = None) -> None:
+        self._onward = onward
+        self._own: Vector = 0.0, 0.0
+        self._by_law: Vector = 0.0, 0.0
+        """Velocities of the last beacon: that which it had, and that by the law; one of them was told."""
         self._robot, self._phase_ns, self._period_ns = robot, phase_ns, fleet.period_ns
         self._rounds = fleet.beacon_rounds
         least_ns, most_ns = self._rounds * fleet.period_ns, fleet.beacon_rounds_max * fleet.period_ns
@@ -62,6 +83,7 @@ class BeaconSchedule:
         self.is_seldom: Final = fleet.is_large
         self.minds: Collection[int] | None = None
         self.level = 0
+        self.loses = False
         self.stands = False
         self.tick_ns = fleet.period_ns
         # Others for each, else all that hurried once for the same reason do so again in one tick; and each
@@ -89,12 +111,19 @@ class BeaconSchedule:
         before, self._turn = self._turn, turn
         return not past if before is None else turn != before
 
-    def timed(self, beacon: Beacon, completed: Callable[[Beacon], Beacon] | None = None) -> Beacon | None:
+    def timed(
+        self,
+        beacon: Beacon,
+        completed: Callable[[Beacon], Beacon] | None = None,
+        near: Callable[[], Collection[int]] | None = None,
+    ) -> Beacon | None:
         """What is to be said at a turn: this, with until when the next one comes, or nothing.
 
         Args:
             completed: adds to a beacon what it tells of robots that are not heard. In a fleet in trouble
                 that is most of what a tick takes: so it is asked only where it may be said.
+            near: of these robots it is news what `completed` told: of those that are far away everybody
+                tells with the next beacon, else one that is late has them all hurry. None: of all.
         """
         timer, now_ns, said = self._timer, beacon.time_ns, self._said
         if said is None:
@@ -108,7 +137,7 @@ class BeaconSchedule:
             timer.changed(self._again_ns)
         elif _is_off(beacon, said) or beacon.overload > max(said.overload, self.level):
             timer.changed()
-        elif hurries and self._has_news(beacon, said):
+        elif hurries and self._has_news(beacon, said, None if near is None else near()):
             self._hurried_ns, self._is_missed = now_ns, False
             timer.changed()
         if said is not None and self._tells_orders(beacon, said):
@@ -119,10 +148,12 @@ class BeaconSchedule:
             beacon = completed(beacon)
         relays = not self.stands and any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent)
         most_ns = RELAY_NS if relays else timer.most_ns
+        beacon = self._with_velocity(beacon, most_ns)
         speed = hypot(beacon.vx, beacon.vy)
         if speed * most_ns > WAY_M * NS_PER_S:
             most_ns = round(WAY_M / speed * NS_PER_S) // timer.least_ns * timer.least_ns
-        next_ns = max(self.tick_ns, timer.said(now_ns, most_ns=most_ns))
+        growth = GROWTH if self.loses else GROWTH_SURE
+        next_ns = max(self.tick_ns, timer.said(now_ns, most_ns=most_ns, growth=growth))
         self._said = beacon
         self._lacking.clear()
         self._orders_ns = None
@@ -130,6 +161,23 @@ class BeaconSchedule:
             self._rows.clear()
         self._rows.update((row.robot, row) for row in beacon.silent)
         return beacon if next_ns <= timer.least_ns else beacon._replace(next_ms=next_ns // NS_PER_MS)
+
+    def _with_velocity(self, beacon: Beacon, next_ns: int) -> Beacon:
+        """A beacon with the velocity at which others are to carry it forward; after it the next one comes
+        within `next_ns`."""
+        by_law = None
+        if self._onward is not None and beacon.following:
+            by_law = self._onward(beacon, round(ONWARD * next_ns))
+        if by_law is None:
+            by_law = beacon.vx, beacon.vy
+        said, own, before = self._said, self._own, self._by_law
+        self._own, self._by_law = (beacon.vx, beacon.vy), by_law
+        if said is not None and said.following:
+            age_s = (beacon.time_ns - said.time_ns) / NS_PER_S
+            off = _off(beacon, said, before)
+            if off > said_doubt(age_s) + SURE_M and off > _off(beacon, said, own):
+                return beacon
+        return beacon._replace(vx=by_law[0], vy=by_law[1])
 
     def _tells_orders(self, beacon: Beacon, said: Beacon) -> bool:
         """Whether it has other orders than `said` tells, or than others tell, and it is its turn to say so.
@@ -143,16 +191,17 @@ class BeaconSchedule:
             self._orders_ns = beacon.time_ns
         return beacon.time_ns - self._orders_ns >= self._orders_pause_ns
 
-    def _has_news(self, beacon: Beacon, said: Beacon) -> bool:
+    def _has_news(self, beacon: Beacon, said: Beacon, near: Collection[int] | None) -> bool:
         """Whether others do not know all that `beacon` tells, who have heard `said`."""
-        if self._is_missed or (said.following and not beacon.following) or self._tells_news(beacon):
+        stands = said.following and not beacon.following
+        if self._is_missed or stands or self._tells_news(beacon, near):
             return True  # that it begins to follow all would say at once, and is seen by where it goes
         minds = self.minds
         if minds is None:
             return beacon.unheard != said.unheard or beacon.overload != said.overload
         return not set(beacon.unheard).symmetric_difference(said.unheard).isdisjoint(minds)
 
-    def _tells_news(self, beacon: Beacon) -> bool:
+    def _tells_news(self, beacon: Beacon, near: Collection[int] | None) -> bool:
         """Whether it tells something new of a silent robot."""
         rows = self._rows
         return any(
@@ -160,6 +209,7 @@ class BeaconSchedule:
             or row.following is not said.following
             or _is_elsewhere(row, said)
             for row in beacon.silent
+            if near is None or row.robot in near
         )
 
     def heard(self, beacon: Beacon, own: _Marks) -> None:
@@ -193,6 +243,12 @@ def _is_off(beacon: Beacon, said: Beacon) -> bool:
 def _is_elsewhere(now: Beacon | Silent, said: Beacon | Silent) -> bool:
     """Whether a robot is not where it was said to be going; others go by what was said."""
     age_s = (now.time_ns - said.time_ns) / NS_PER_S
-    ahead_s = age_s if said.following else 0.0
-    off = hypot(now.x - said.x - ahead_s * said.vx, now.y - said.y - ahead_s * said.vy)
-    return off > said_doubt(age_s) + SURE_M
+    velocity = (said.vx, said.vy) if said.following else (0.0, 0.0)
+    return _off(now, said, velocity) > said_doubt(age_s) + SURE_M
+
+
+def _off(now: Beacon | Silent, said: Beacon | Silent, velocity: Vector) -> float:
+    """How far a robot is from where it would be if it had gone on at a velocity since it `said` where it was,
+    m."""
+    age_s = (now.time_ns - said.time_ns) / NS_PER_S
+    return hypot(now.x - said.x - age_s * velocity[0], now.y - said.y - age_s * velocity[1])

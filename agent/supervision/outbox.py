@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import NS_PER_MS, MachineClock
+from agent.common.quantities import Vector
+from agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
 from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.peers.peers import Peers
@@ -58,7 +59,7 @@ class Outbox:
         self._event = event
         self._wrenches = SequenceNumbers(period_ns, phase_ns)
         self._hands = SequenceNumbers(period_ns, phase_ns)
-        self._schedule = BeaconSchedule(fleet, robot, phase_ns)
+        self._schedule = BeaconSchedule(fleet, robot, phase_ns, self._onward)
         self._key_wrench = key_expressions.wrench(name, robot)
         self._key_hand = key_expressions.hand(name, robot)
         self._key_beacon = key_expressions.beacon(name, robot)
@@ -145,8 +146,11 @@ class Outbox:
         if self._schedule.is_seldom:
             self._schedule.minds = None if self._peers.rows.are_told(now_ns) else self._peers.listened
             self._schedule.level = self.others_overload
+            self._schedule.loses = any(peer.listened and peer.lateness.loses for peer in self._peers.known)
         message = self._schedule.timed(
-            self._beacon(now_ns, here, doubt, following=following), self._with_silent
+            self._beacon(now_ns, here, doubt, following=following),
+            self._with_silent,
+            lambda: self._peers.rows.near,
         )
         return [] if message is None else [(self._key_beacon, encode(message))]
 
@@ -170,6 +174,15 @@ class Outbox:
             overload=self.overload,
             stood_ms=self.stood_ms,
         )
+
+    def _onward(self, here: Beacon, for_ns: int) -> Vector | None:
+        """Mean velocity, m/s, at which the law takes the robot on from where it is."""
+        place = HandState.placed(self._robot, 0, here.time_ns, True, 0, here.place, here.doubt)
+        then = self._peers.forecast.following(place, here.time_ns + for_ns)
+        if then is None:
+            return None
+        for_s = for_ns / NS_PER_S
+        return (then.position[0] - here.x) / for_s, (then.position[1] - here.y) / for_s
 
     def _with_silent(self, beacon: Beacon) -> Beacon:
         """A beacon with what it tells of robots that are not heard."""

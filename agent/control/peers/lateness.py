@@ -97,9 +97,14 @@ class Lateness:
         self.heeds = allowed_ns > 0 or self._share > _HEEDED
 
     @property
+    def loses(self) -> bool:
+        """Whether the link loses messages all the time."""
+        return self._share > _LOSSY
+
+    @property
     def missed(self) -> float:
         """How many messages are missed in a row, k, on a link that loses some all the time; else 0."""
-        return self._run() if self._share > _LOSSY else 0.0
+        return self._run() if self.loses else 0.0
 
     def take_promised(
         self,

@@ -306,8 +306,11 @@ class Peers:
         if time_ns > peer.direct_ns:
             peer.direct_ns = time_ns
         peer.far_until_ns = 0
+        place = beacon.place
+        if self._rest_ns and before is not None and peer.listened and since_ns <= OUTAGE_NS:
+            place = self._moving(before, beacon, peer.hand_ns)
         peer.message = HandState.placed(
-            beacon.robot, beacon.sequence, time_ns, beacon.following, peer.degree, beacon.place, beacon.doubt
+            beacon.robot, beacon.sequence, time_ns, beacon.following, peer.degree, place, beacon.doubt
         )
         if peer.hand_next_ns and before is not None and since_ns <= peer.hand_next_ns:
             peer.message = self.forecast.forces_of(before, peer.message)
@@ -316,6 +319,15 @@ class Peers:
         peer.here = peer.token
         if peer.gone_ns >= time_ns:  # it is there, though its clock be behind the operator's
             peer.gone_ns = time_ns - 1
+
+    def _moving(self, before: HandState, beacon: Beacon, hand_ns: int) -> tuple[float, float, float, float]:
+        """Where a robot is by a beacon of a large fleet, and how it moves: by its hand state `before`, the
+        last word from it. What the beacon tells is a mean velocity, for those from which it is far."""
+        if before.time_ns == hand_ns and before.following and beacon.following:
+            predicted = self.forecast.following(before, beacon.time_ns)
+            if predicted is not None:
+                return beacon.x, beacon.y, *predicted.velocity
+        return beacon.place
 
     def _forgive(self, peer: Peer, message: HandState | Beacon, now_ns: int) -> None:
         """Decides by the newest message how much is forgiven its link at most.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
 
 from agent.common.quantities import Vector
@@ -35,6 +35,9 @@ class SilentRows:
         starts: where the hands of all others are until they are heard, m, W.
         horizon_s: a robot that hears nobody for so long stands.
         is_large: whether the fleet is so large that rows wait for their turn.
+
+    Attributes:
+        near: of which robots `at` told last that are near, or lacked by one that is.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class SilentRows:
         self._lacked_near: dict[int, int] = {}
         """Likewise, by those that this robot listens to."""
         self._told = self._told_far = 0
+        self.near: Collection[int] = ()
 
     def are_told(self, now_ns: int) -> bool:
         """Whether a mission is near, or has begun, so that others need to know who is not heard here."""
@@ -89,6 +93,7 @@ class SilentRows:
             missed_ns: for how much of the time since an instant the own process did not run: what it did not
                 hear meanwhile others have heard.
         """
+        self.near = ()
         if not self.are_told(now_ns):
             return ()
         elsewhere, epoch_ns = self._elsewhere, self._forecast.epoch_ns
@@ -108,6 +113,7 @@ class SilentRows:
                 continue
             is_near = peer.listened or self._lacked_near.get(robot, 0) > now_ns
             (told if is_near or not self._is_large else far).append(peer)
+        self.near = {peer.robot for peer in told}
         if far:
             first = self._told_far % len(far)
             some = self._in_time((far[first:] + far[:first])[:ROWS_OF_MANY], now_ns)

@@ -16,7 +16,15 @@ from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import Beacon, Silent
 from agent.supervision import beacon_schedule
-from agent.supervision.beacon_schedule import HURRIES_HZ, RELAY_NS, SURE_M, WAY_M, BeaconSchedule
+from agent.supervision.beacon_schedule import (
+    HURRIES_HZ,
+    ONWARD,
+    RELAY_NS,
+    SURE_M,
+    WAY_M,
+    BeaconSchedule,
+    Onward,
+)
 
 T0 = 1000 * NS_PER_S
 MARKS = (3, 7, -1, -1)
@@ -47,9 +55,12 @@ def beacon(
 class Bench:
     """Robot 2 of a fleet that says seldom where it is: at 10 Hz every other tick is a turn."""
 
-    def __init__(self, made: Fleet | None = None) -> None:
+    def __init__(
+        self, made: Fleet | None = None, onward: Onward | None = None, *, loses: bool = True
+    ) -> None:
         self.fleet = made or fleet(beacon_interval_max_s=1.6)
-        self.schedule = BeaconSchedule(self.fleet, 2, self.fleet.period_ns // 2)
+        self.schedule = BeaconSchedule(self.fleet, 2, self.fleet.period_ns // 2, onward)
+        self.schedule.loses = loses
         self.now_ns = T0 + self.fleet.period_ns // 2
         self.said: list[tuple[float, Beacon]] = []
 
@@ -146,10 +157,51 @@ def test_while_nothing_is_new_it_is_said_ever_more_seldom() -> None:
     assert bench.later_s() == [0.0, 0.4, 0.8, 1.6, 1.6, 1.6, 1.6]
 
 
-def quiet() -> Bench:
-    bench = Bench()
+def quiet(*, loses: bool = True) -> Bench:
+    bench = Bench(loses=loses)
     bench.run(5.0)
     return bench
+
+
+def test_where_links_lose_nothing_what_is_new_is_said_once_more_and_then_as_seldom_as_ever() -> None:
+    bench = quiet(loses=False)
+    assert bench.run(4.0, follows=False) == [5.0, 5.2, 6.8, 8.4]
+
+
+def test_others_carry_it_on_at_the_mean_velocity_by_the_law() -> None:
+    asked: list[int] = []
+
+    def onward(here: Beacon, for_ns: int) -> tuple[float, float]:
+        asked.append(for_ns)
+        return 0.25, -0.5
+
+    bench = Bench(onward=onward, loses=False)
+    bench.run(0.2, place=(0.0, 0.0, 0.1, 0.0))
+    bench.run(0.2, place=(0.05, -0.1, 0.1, 0.0))
+    assert [made.place for _, made in bench.said] == [(0.0, 0.0, 0.25, -0.5), (0.05, -0.1, 0.25, -0.5)]
+    assert asked == [round(ONWARD * 1.6 * NS_PER_S)] * 2
+    stands = Bench(onward=onward)
+    stands.run(0.2, place=(0.0, 0.0, 0.1, 0.0), follows=False)
+    assert stands.said[0][1].place == (0.0, 0.0, 0.1, 0.0)
+    assert len(asked) == 2
+    nowhere = Bench(onward=lambda here, for_ns: None)
+    nowhere.run(0.2, place=(0.0, 0.0, 0.1, 0.0))
+    assert nowhere.said[0][1].place == (0.0, 0.0, 0.1, 0.0)
+
+
+def test_one_that_is_held_up_tells_the_velocity_that_it_has_until_the_law_is_right_again() -> None:
+    """Else others would look for it further on all the time, and it would say each time where it is."""
+    bench = Bench(onward=lambda here, for_ns: (0.3, 0.0), loses=False)
+    bench.run(20.0)
+    at_first = [(at, made.vx) for at, made in bench.said]
+    assert at_first[0] == (pytest.approx(0.05), 0.3)
+    assert all(vx == 0.0 for _, vx in at_first[2:])
+    assert len(at_first) < 20.0 / 1.6 + 4
+    since, began_ns = len(bench.said), bench.now_ns
+    for _ in range(100):
+        bench.run(0.1, place=(0.3 * (bench.now_ns - began_ns) / NS_PER_S, 0.0, 0.3, 0.0))
+    assert all(made.vx == 0.3 for _, made in bench.said[since:])
+    assert len(bench.said) - since < 10.0 / 1.6 + 4
 
 
 def test_what_is_new_is_said_at_the_next_turn_and_again() -> None:
