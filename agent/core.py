@@ -227,7 +227,7 @@ class Agent:
             return ()
         if self._is_routed and (not self._overload.idle or self._stood_lately(now_ns)):
             return ()
-        return self._deafness.look(now_ns, self._listened)
+        return self._deafness.look(now_ns)
 
     def _stood_lately(self, now_ns: int) -> bool:
         return self._overload.missed_ns(now_ns - LATELY_NS) > STOOD_MOST_NS
@@ -435,6 +435,7 @@ class Agent:
                     self._peers.present(other, True)
                 self.watched = tuple(self._alive_of[other] for other in sorted(wanted))
             self._listened = wanted
+            self._deafness.listens(wanted, now_ns)
             self.subscriptions = (*self._always, *(self._hand_of[other] for other in sorted(wanted)))
             if self._event is not None:  # those it listens to listen to it
                 self._event.missed()

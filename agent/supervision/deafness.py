@@ -82,6 +82,7 @@ class Deafness:
         self._sure_after_ns = min(SURE_NS, seldom_ns)
         self._no_hands_ns = max(SILENT_NS, 2 * hands_ns)
         self._now_ns = self._due_ns = 0
+        self._listened: Collection[int] = ()
         self._link = _Other() if one_link else None
 
     def came(self, robot: int, now_ns: int, *, hand: bool) -> None:
@@ -100,6 +101,16 @@ class Deafness:
             other.token_ns = self._now_ns if here else _NEVER
             other.began_ns = _NEVER
 
+    def listens(self, robots: Collection[int], now_ns: int) -> None:
+        """From now on the hand states of these robots are listened to, and of no others. Not asked for at
+        looks: who comes near and goes again, and is near at each look, is not listened to all the time."""
+        for robot, other in self._others.items():
+            if robot not in robots:
+                other.listened_ns = _NEVER
+            elif other.listened_ns == _NEVER:
+                other.listened_ns = now_ns
+        self._listened = robots
+
     def told(self, beacon: Beacon) -> None:
         """Takes a beacon: whom its sender does not hear."""
         sender = self._others[beacon.robot]
@@ -107,39 +118,36 @@ class Deafness:
             sender.began_ns = beacon.time_ns
         sender.told_ns, sender.unheard = beacon.time_ns, beacon.unheard
 
-    def look(self, now_ns: int, listened: Collection[int]) -> list[int]:
-        """Robots whose links are to be opened anew now; looks twice a second.
-
-        Args:
-            listened: those whose hand states are listened to.
-        """
+    def look(self, now_ns: int) -> list[int]:
+        """Robots whose links are to be opened anew now; looks twice a second."""
+        if self._now_ns == 0:  # it begins
+            for other in self._others.values():
+                if other.listened_ns != _NEVER:
+                    other.listened_ns = now_ns
         self._now_ns = now_ns
         if now_ns < self._due_ns:
             return []
         self._due_ns = now_ns + LOOK_NS
         found = []
         for robot, other in self._others.items():
-            if robot not in listened:
-                other.listened_ns = _NEVER
-            elif other.listened_ns == _NEVER:
-                other.listened_ns = now_ns
             if other.token_ns == _NEVER:
                 continue
             lacks = self._lacks_all(robot, other, now_ns) or _lacks_hands(other, now_ns, self._no_hands_ns)
             if _is_to_open(other, now_ns, lacks=lacks):
                 found.append(robot)
         if self._link is not None and not found:
-            there = self._unheard_from_all(listened, now_ns)
+            there = self._unheard_from_all(now_ns)
             if _is_to_open(self._link, now_ns, lacks=bool(there)):
                 found.append(there[0])
         return found
 
-    def _unheard_from_all(self, listened: Collection[int], now_ns: int) -> list[int]:
+    def _unheard_from_all(self, now_ns: int) -> list[int]:
         """Who is seen to be there of those that are listened to, while nothing comes from anybody."""
         after_ns = now_ns - self._heard_after_ns
         if any(other.came_ns >= after_ns for other in self._others.values()):
             return []
-        there = ((robot, self._others[robot].token_ns) for robot in sorted(listened) if robot in self._others)
+        listened = (robot for robot in sorted(self._listened) if robot in self._others)
+        there = ((robot, self._others[robot].token_ns) for robot in listened)
         return [robot for robot, token_ns in there if 0 < token_ns < after_ns]
 
     def _lacks_all(self, robot: int, other: _Other, now_ns: int) -> bool:

@@ -33,7 +33,7 @@ class Bench:
             (2, 3, 4), HORIZON_NS, seldom_ns=seldom_ns, sees_all=not one_link, one_link=one_link
         )
         self.now_ns = T0
-        self.deafness.look(T0, ())
+        self.deafness.look(T0)
         for robot in present:
             self.deafness.present(robot, True)
         self.found: list[tuple[int, float]] = []
@@ -49,6 +49,7 @@ class Bench:
     ) -> list[int]:
         """Goes on for so long; robots that it was deaf to."""
         found = []
+        self.deafness.listens(listened, self.now_ns)
         for _ in range(round(duration_s * NS_PER_S / STEP_NS)):
             self.now_ns += STEP_NS
             for robot in heard:
@@ -56,7 +57,7 @@ class Bench:
                 self.deafness.told(beacon(robot, self.now_ns, unheard(robot)))
             for robot in hands:
                 self.deafness.came(robot, self.now_ns, hand=True)
-            found += self.deafness.look(self.now_ns, listened)
+            found += self.deafness.look(self.now_ns)
         return found
 
 
@@ -237,8 +238,34 @@ def test_nor_is_one_whose_neighbour_hangs():
 def test_who_may_be_silent_for_long_is_missed_after_twice_as_long() -> None:
     bench = Bench()
     bench.deafness = Deafness((2, 3, 4), HORIZON_NS, NS_PER_S)
-    bench.deafness.look(bench.now_ns, ())
+    bench.deafness.look(bench.now_ns)
     for robot in (2, 3, 4):
         bench.deafness.present(robot, True)
     assert bench.run(2.0, listened=(2,)) == []
     assert bench.run(1.0, listened=(2,)) == [2]
+
+
+def test_who_comes_near_again_is_not_missed_for_the_time_in_which_nobody_listened() -> None:
+    """Between two looks, which a process that stood leaves out, it goes and comes again."""
+    bench = Bench()
+    assert bench.run(5.0, hands=(2,), listened=(2,)) == []
+    for _ in range(10):
+        bench.deafness.listens((), bench.now_ns)
+        bench.now_ns += 2 * NS_PER_S
+        assert bench.run(0.2, listened=(2,)) == []
+        bench.now_ns += NS_PER_S // 2
+        bench.deafness.came(2, bench.now_ns, hand=True)
+
+
+def test_of_whom_only_beacons_come_from_the_first_look_on() -> None:
+    """What a node listens to when it is made has no time yet."""
+    deafness = Deafness((2,), HORIZON_NS)
+    deafness.listens((2,), 0)
+    deafness.present(2, True)
+    found = []
+    for k in range(20):
+        now_ns = T0 + k * STEP_NS
+        deafness.came(2, now_ns, hand=False)
+        found += [k * STEP_NS / NS_PER_S] * len(deafness.look(now_ns))
+    assert found
+    assert 1.0 < found[0] <= 1.7
