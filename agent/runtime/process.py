@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from agent.common.errors import Error
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
@@ -33,6 +33,10 @@ from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotValidNowError
 from agent.security.identity import of_robot
 from agent.security.private_files import KeyFileError
+
+GARBAGE: Final = 5_000
+"""The collector looks each time that so many more objects are there than were: a loop makes hardly any that
+count on each other."""
 
 
 class StartError(RuntimeError):
@@ -79,6 +83,7 @@ def appear(node: Node, bus: Bus, clock: Clock, keeper: OrderKeeper | None) -> No
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()
+    gc.set_threshold(GARBAGE)
 
 
 def _say_rejected(node: Node, log: Log) -> None:
@@ -208,6 +213,7 @@ def _run(
                 near={key for robot in robots for key in key_expressions.near(fleet.fleet.name, robot)},
                 go_on_waiting=waiting,
                 is_wanted=lambda: not asked(),
+                in_batches=True,
             ) as bus,
             _store(options, role, log) as store,
         ):

@@ -15,7 +15,7 @@ from agent.supervision.overload import Overload
 
 STATUS_HZ: Final = 5.0
 """How often an agent says its status to operators, at the full rate of a drive..."""
-STATUSES_HZ: Final = 500.0
+STATUSES_HZ: Final = 300.0
 """...where all together say no more than so many a second. One that is waited for comes at once: of another
 state, or of an order that is acknowledged."""
 OPENED_ANEW_NS: Final = 5 * NS_PER_S

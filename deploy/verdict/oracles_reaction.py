@@ -13,6 +13,7 @@ from agent.fleet.model import Fleet
 from agent.formation.points import Floats
 from agent.messages.types import TOPICS
 from agent.supervision.state_machine import DRIVING_NAMES, REST_SPEED
+from agent.supervision.status import status_hz
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import Down, Flags, downs
 from deploy.recording.recording import Recording, RobotData
@@ -32,7 +33,7 @@ _LOSS_MAX: Final = 0.5
 _DELAY_MAX_S: Final = 0.5
 """Statuses, five a second, come through in time where links lose no more and delay no longer."""
 HEARD_S: Final = 1.0
-"""An agent that says nothing for so long is not taken to be alive."""
+"""An agent that says nothing for so long, or twice what is between two statuses, is not taken to be alive."""
 _DONE: Final = {"kill": "killed", "stop": "paused"}
 
 
@@ -194,11 +195,12 @@ def one_mission(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violati
         return None
     if any(_cuts(span.rule) and span.end_s >= quiet_s for span in windows(recording)) or _cuts(fleet.faults):
         return None
+    heard_s = max(HEARD_S, 2.0 / status_hz(fleet))
     known: dict[int, tuple[int, int]] = {}
     for robot, data in recording.robots.items():
         status = data.status
         last = int(np.searchsorted(status.t, end_s, side="right")) - 1
-        if last < 0 or status.t[last] < end_s - HEARD_S:
+        if last < 0 or status.t[last] < end_s - heard_s:
             continue
         if any(down.end_s >= quiet_s for down in downs(recording, robot, "agent")):
             continue
