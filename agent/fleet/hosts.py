@@ -25,6 +25,16 @@ PROTECTED_ADDRESS: Final = "127.0.0.1"
 MESH_ROBOTS_MAX: Final = 24
 """More robots are too many to be linked each to each: links grow with the square (docs/architecture.md)."""
 
+CROWD: Final = 24
+"""More robots than this on one machine have to share it: their loops do not wake all at once
+(`agent.links.ticks`), and none is gone that waits for a processor."""
+
+LEASE_MS: Final = 1000
+CROWD_LEASE_MS: Final = 4000
+"""A process from which nothing comes on a link for so long is gone: frozen or out of reach; one that ends is
+seen to at once. In a crowd its threads wait for a processor for longer than the first, and each link that is
+ended for that has a router make all anew that was declared over it."""
+
 _NOT_BEFORE_IT: Final = {PROTECTED_ADDRESS, "localhost", "0.0.0.0", "[::]"}
 """Addresses that no proxy can have beside `PROTECTED_ADDRESS`, on the same ports."""
 

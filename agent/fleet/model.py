@@ -19,6 +19,9 @@ from agent.common.settings import about
 from agent.common.wording import printable, show
 from agent.fleet.fault_rules import FaultsSection
 from agent.fleet.hosts import (
+    CROWD,
+    CROWD_LEASE_MS,
+    LEASE_MS,
     MESH_ROBOTS_MAX,
     PROTECTED_ADDRESS,
     HostSection,
@@ -259,6 +262,28 @@ class Fleet:
         if network.topology is not None:
             return network.topology == "routed"
         return bool(network.routers) or len(self.robots) > MESH_ROBOTS_MAX
+
+    @property
+    def is_crowded(self) -> bool:
+        """Whether a machine has more than `CROWD` of its robots."""
+        hosts = [robot.host for robot in self.robots]
+        return len(hosts) > CROWD and max(map(hosts.count, set(hosts))) > CROWD
+
+    @property
+    def lease_ms(self) -> int:
+        """A process from which nothing comes on a link for so long is gone, ms."""
+        return CROWD_LEASE_MS if self.is_crowded else LEASE_MS
+
+    @property
+    def batches_beacons(self) -> bool:
+        """Whether its routers pass beacons on in batches, as all robots hear all of them."""
+        return self.is_routed and self.is_large
+
+    @property
+    def batches_hands(self) -> bool:
+        """Whether they pass on hand states in batches, too: where all robots share a machine. There a message
+        costs more than what is in it; over a network nobody is to get what he does not listen to."""
+        return self.batches_beacons and self.is_crowded and len({robot.host for robot in self.robots}) == 1
 
     @property
     def routers(self) -> tuple[RouterPlace, ...]:

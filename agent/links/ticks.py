@@ -1,8 +1,9 @@
 """When a node ticks, by its own clock: on the fleet's grid, or late where a fault rule wants it (PURE).
 
 All ticks of a round have the same time. Where a machine has many agents their loops do not wake in the same
-instant: each has its slot of a part of the period. What a tick decides is the same, for it goes by its time,
-and a message of this round waits for the next (`agent.control.peers.peers.Peers.accept`).
+instant: each has its slot of a part of the period. The last of so many would else begin as many ticks late,
+and a fleet whose ticks begin late falls to a lower rate. What a tick decides is the same, for it goes by its
+time, and a message of this round waits for the next (`agent.control.peers.peers.Peers.accept`).
 """
 
 from __future__ import annotations
@@ -11,13 +12,11 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from agent.common import random_streams
+from agent.fleet.hosts import CROWD
 from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 
-CROWD: Final = 24
-"""More robots than this on a machine have slots: the last of so many would else begin as many ticks late, and
-a fleet whose ticks begin late falls to a lower rate."""
 AGENTS_SHARE: Final = 0.5
 """The slots of agents lie in so large a part of the period after a round's time."""
 AGENTS_NS_MAX: Final = 100_000_000

@@ -25,7 +25,7 @@ ACKNOWLEDGED: Final = 0.75
 KEEP_ALIVE_BYTES: Final = 3
 """A sign of life of Zenoh's, in a packet of its own, on a link on which nothing else goes."""
 KEEP_ALIVE_HZ: Final = 3.0
-"""How often it goes: three times within `agent.runtime.bus.LEASE_MS`."""
+"""How often it goes: three times within `agent.fleet.hosts.LEASE_MS`."""
 
 
 def carried_bytes(payload_bytes: float, secured: bool) -> float:

@@ -25,6 +25,13 @@ def hand(fleet: str, robot: int | str) -> str:
     return f"{fleet}/robot/{robot}/hand"
 
 
+def robot_of_hand(fleet: str, key: str) -> int | None:
+    """Whose hand states come on a key; None for another key."""
+    before, _, last = key.rpartition("/")
+    number = before.removeprefix(f"{fleet}/robot/")
+    return int(number) if last == "hand" and number.isdecimal() else None
+
+
 def status(fleet: str, robot: int | str) -> str:
     """What one agent is doing, for operators."""
     return f"{fleet}/robot/{robot}/status"
@@ -71,6 +78,30 @@ def relayed(fleet: str, robot: int | str) -> str:
 def beacon(fleet: str, robot: int | str) -> str:
     """Where one robot is, from its agent to all others."""
     return f"{fleet}/robot/{robot}/beacon"
+
+
+def beacon_batch(fleet: str) -> str:
+    """Beacons of many robots, from a router to all agents (`agent.messages.batch`).
+
+    Chunks that begin with ``@`` are matched by no wildcard (Zenoh): who listens to everything has each
+    message as its robot said it.
+    """
+    return f"{fleet}/@batch/beacon"
+
+
+def hand_batch(fleet: str) -> str:
+    """Hand states of many robots, likewise."""
+    return f"{fleet}/@batch/hand"
+
+
+def batches(fleet: str) -> list[str]:
+    """Every key on which routers publish."""
+    return [beacon_batch(fleet), hand_batch(fleet)]
+
+
+def router_alive(fleet: str, name: str) -> str:
+    """Liveliness token of one router that can pass beacons on in batches."""
+    return f"{fleet}/alive/router/{name}"
 
 
 def heartbeat(fleet: str) -> str:
@@ -156,6 +187,12 @@ def published(fleet: str, robot: int) -> list[str]:
 def everything(fleet: str) -> str:
     """Every message of the fleet (liveliness tokens are not messages)."""
     return f"{fleet}/**"
+
+
+def router_of_alive(key: str) -> str | None:
+    """Name of the router that a liveliness token stands for, None for another's."""
+    parts = key.rsplit("/", 3)
+    return parts[3] if len(parts) == 4 and parts[1:3] == ["alive", "router"] else None
 
 
 def robot_of_alive(key: str) -> tuple[int, str] | None:

@@ -21,8 +21,10 @@ import zenoh
 
 from agent.common.errors import Error
 from agent.common.time import NS_PER_S
+from agent.fleet.hosts import LEASE_MS
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import inbox_size
+from agent.runtime.batches import Batches
 from agent.runtime.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
 from agent.runtime.tcp_linger import Lingering
 from agent.runtime.tcp_sockets import Calm, TcpSockets
@@ -36,8 +38,6 @@ counted."""
 RECEIVED_BYTES_MAX: Final = 2 * PAYLOAD_BYTES_MAX
 """A message that comes in fragments is put together up to this size: a payload, its key and all around them.
 Zenoh would hold a gigabyte for each link before it looks at the size of the payload."""
-LEASE_MS: Final = 1000
-"""A peer that was silent for so long is gone."""
 KEEP_ALIVES: Final = 3
 """So many times within that a sign of life is sent on a link on which nothing else goes: one that is lost may
 be lost once more, TCP says it again after 0.2 s and 0.4 s. With Zenoh's default of 4 it is a third of all for
@@ -72,6 +72,9 @@ M_ARENA_MAX: Final = -8
 """Parameter of glibc's mallopt(3): the number of arenas."""
 
 
+IsKnown = Callable[[str], object]
+"""Gives None for the key of a token that stands for nothing."""
+
 _OPENING: Final[list[threading.Thread]] = []
 """Threads that open sessions."""
 _SESSIONS: Final[list[Any]] = []
@@ -89,6 +92,7 @@ def settings_of(
     security: Security | None,
     link_timeout_s: float = LINK_TIMEOUT_S,
     retry_ms: tuple[int, int] = RETRY_MS,
+    lease_ms: int = LEASE_MS,
 ) -> dict[str, Any]:
     """Zenoh's settings, by their paths in its configuration.
 
@@ -111,7 +115,7 @@ def settings_of(
         "scouting/delay": 0,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/lease": lease_ms,
         "transport/link/tx/keep_alive": KEEP_ALIVES,
         "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
         # Messages of one tick wait here while Zenoh's thread has not run; its default of 2 lost some.
@@ -169,12 +173,15 @@ def _open(
     security: Security | None,
     link_timeout_s: float = LINK_TIMEOUT_S,
     retry_ms: tuple[int, int] = RETRY_MS,
+    lease_ms: int = LEASE_MS,
 ) -> Any:
     """A session; raises `BusError`."""
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     _share_heap()
     try:
-        session = zenoh.open(_config(settings_of(mode, listen, connect, security, link_timeout_s, retry_ms)))
+        session = zenoh.open(
+            _config(settings_of(mode, listen, connect, security, link_timeout_s, retry_ms, lease_ms))
+        )
         _SESSIONS.append(session)
         return session
     except zenoh.ZError as error:
@@ -213,6 +220,7 @@ def _open_client(
     go_on_waiting: Callable[[], bool],
     link_timeout_s: float,
     is_wanted: Callable[[], bool] | None = None,
+    lease_ms: int = LEASE_MS,
 ) -> Any:
     """A session with the first router that answers. One that was there once is waited for by Zenoh itself.
 
@@ -222,7 +230,9 @@ def _open_client(
     patience = 1
     while True:
         try:
-            what = partial(_open, "client", [], routers, security, patience * link_timeout_s)
+            what = partial(
+                _open, "client", [], routers, security, patience * link_timeout_s, lease_ms=lease_ms
+            )
             return what() if is_wanted is None else _while_wanted(what, is_wanted)
         except BusError:
             if not go_on_waiting():
@@ -319,6 +329,8 @@ class Bus:
         link_timeout_s: a link on which nothing new comes for so long while it is opened is tried again.
         retry_ms: shortest and longest pause before that.
         robots: how many the fleet has: so much may come at once.
+        lease_ms: who hears nothing of this process for so long takes it to be gone.
+        batches: what is heard in batches from a router, None for nothing.
 
     Raises:
         BusError: an endpoint cannot be listened on, or no router answers.
@@ -337,6 +349,8 @@ class Bus:
         link_timeout_s: float = LINK_TIMEOUT_S,
         retry_ms: tuple[int, int] = RETRY_MS,
         robots: int = 1,
+        batches: Batches | None = None,
+        lease_ms: int = LEASE_MS,
     ) -> None:
         self._sessions: list[Any] = []
         self._near_keys = near
@@ -348,15 +362,21 @@ class Bus:
         self._reopened_ns: dict[str, int] = {}
         try:
             if listen or connect or not routers:
-                self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, retry_ms))
+                self._sessions.append(
+                    _open("peer", listen, connect, security, link_timeout_s, retry_ms, lease_ms)
+                )
             if routers:
                 with self._looking() if len(routers) > 1 else nullcontext():
-                    client = _open_client(routers, security, go_on_waiting, link_timeout_s, is_wanted)
+                    client = _open_client(
+                        routers, security, go_on_waiting, link_timeout_s, is_wanted, lease_ms
+                    )
                     self._sessions.append(client)
         except BaseException:
             self.close()
             raise
         self._near, self._far = self._sessions[0], self._sessions[-1]
+        self._batches = batches
+        self._asked: Sequence[str] = ()
         self._inboxes: dict[str, tuple[str, Callable[[], Any], int, Any]] = {}
         """By subscription: its key where it is one, what takes a message, how many wait, the subscriber."""
         self._publishers: dict[str, list[Callable[[bytes], None]]] = {}
@@ -426,6 +446,8 @@ class Bus:
 
     def listen(self, subscriptions: Sequence[str]) -> None:
         """Listens to exactly these keys, and drains them in this order; what waits on others is lost."""
+        if self._batches is not None:
+            self._asked, subscriptions = subscriptions, self._batches.instead_of(subscriptions)
         for key in self._inboxes.keys() - set(subscriptions):
             self._inboxes.pop(key)[3].undeclare()
         for key in subscriptions:
@@ -437,13 +459,17 @@ class Bus:
         """Declares the liveliness token `key`; it goes when this process does."""
         self._tokens += [session.liveliness().declare_token(key) for session in self._sessions]
 
-    def watch(self, key: str) -> Presence:
-        """Watches the liveliness tokens that match `key`."""
-        return Presence(
-            self._far.liveliness().declare_subscriber(
-                key, zenoh.handlers.FifoChannel(PRESENCE_SIZE), history=True
-            )
+    @property
+    def name(self) -> str:
+        """Nobody else on the bus has the same."""
+        return str(self._far.zid())
+
+    def watch(self, key: str, is_known: IsKnown = robot_of_alive) -> Presence:
+        """Watches the liveliness tokens that match `key`; those that `is_known` knows."""
+        tokens = self._far.liveliness().declare_subscriber(
+            key, zenoh.handlers.FifoChannel(PRESENCE_SIZE), history=True
         )
+        return Presence(tokens, is_known)
 
     def declare(self, key: str) -> None:
         """Prepares to publish on `key`. A full link drops messages rather than stall the loop."""
@@ -481,7 +507,21 @@ class Bus:
                 size -= 1
                 if not size:  # a flood that comes faster than it is taken must not keep the loop
                     break
-        return found
+        return found if self._batches is None else self._out_of_batches(found, self._batches, now_ns)
+
+    def _out_of_batches(
+        self, found: Sequence[tuple[str, bytes]], batches: Batches, now_ns: int
+    ) -> list[tuple[str, bytes]]:
+        """What was found, with what is in batches in their place."""
+        opened: list[tuple[str, bytes]] = []
+        for message in found:
+            if message[0] in batches.keys:
+                opened += batches.opened(*message, now_ns)
+            else:
+                opened.append(message)
+        if batches.look(now_ns):
+            self.listen(self._asked)
+        return opened
 
     def were_deaf(self) -> list[str]:
         """The endpoints of links on which nothing was read though they stood, and which were shut down since
@@ -507,7 +547,7 @@ class Router:
     Args:
         listen: endpoints that clients connect to.
         connect: endpoints of other routers.
-        security, link_timeout_s: as of a `Bus`.
+        security, link_timeout_s, lease_ms: as of a `Bus`.
 
     Raises:
         BusError: an endpoint cannot be listened on.
@@ -519,8 +559,9 @@ class Router:
         connect: Sequence[str],
         security: Security | None,
         link_timeout_s: float = LINK_TIMEOUT_S,
+        lease_ms: int = LEASE_MS,
     ) -> None:
-        self._session = _open("router", listen, connect, security)
+        self._session = _open("router", listen, connect, security, lease_ms=lease_ms)
         self._links = _Links(LinkWatch(listen, connect, link_timeout_s, _open_links))
 
     def __enter__(self) -> Router:
@@ -546,10 +587,10 @@ class Router:
 
 
 class Presence:
-    """The processes that are alive, by their liveliness tokens."""
+    """The processes that are alive, by their liveliness tokens; those that `is_known` knows."""
 
-    def __init__(self, subscriber: Any) -> None:
-        self._subscriber, self._take = subscriber, subscriber.handler.try_recv
+    def __init__(self, subscriber: Any, is_known: IsKnown = robot_of_alive) -> None:
+        self._subscriber, self._take, self._is_known = subscriber, subscriber.handler.try_recv, is_known
         self.alive: set[str] = set()
 
     def close(self) -> None:
@@ -567,7 +608,7 @@ class Presence:
             if (sample := self._take()) is None:
                 break
             key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
-            if robot_of_alive(key) is None or (here and len(self.alive) >= PRESENCE_SIZE):
+            if self._is_known(key) is None or (here and len(self.alive) >= PRESENCE_SIZE):
                 continue
             (self.alive.add if here else self.alive.discard)(key)
             changes.append((key, here))

@@ -9,7 +9,7 @@ stands, and is never read from. Measured, with 0.3 s and two cores that are busy
 links dead for good, always at the side that had opened the link; with 15 ms 241 of 400.
 
 A deaf link, whatever has made it one: bytes wait, nobody reads them, and yet this process sends on it, as it
-does `KEEP_ALIVES` times in a `LEASE_MS` (`agent.runtime.bus`). So it runs, and has the link for one of its
+does `KEEP_ALIVES` times in a lease (`agent.runtime.bus`). So it runs, and has the link for one of its
 own, which what knocks at its port is not. Where its threads have to wait for a processor, they read late from
 links with which nothing is wrong: the longer they wait, the later a link is deaf. A router of 200 robots on
 two cores had shut 78 of its links down in a start, and had to do their declarations again.

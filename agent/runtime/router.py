@@ -17,11 +17,13 @@ from pathlib import Path
 from typing import Final
 
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
+from agent.common.time import NS_PER_S
 from agent.common.wording import printable
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from agent.messages.key_expressions import alive, robot_of_alive
-from agent.runtime.bus import BusError, Router, init_log
+from agent.runtime.batcher import Batcher
+from agent.runtime.bus import Bus, BusError, Router, init_log
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.listening_gate import Gate
 from agent.runtime.loop import DIALLED, Log, Shutdown
@@ -33,7 +35,10 @@ from agent.security.credentials import CredentialsError, load
 from agent.security.identity import MAIN, of_router
 from agent.security.refusals import FILTER
 
-POLL_S: Final = 0.1
+POLL_NS: Final = NS_PER_S // 10
+"""How often it looks at its links, and is seen to live."""
+ANYWHERE: Final = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}
+"""Addresses that stand for all of a machine's, and for the one by which it reaches itself."""
 _LEFT: Final[list[ExitStack]] = []
 """What is not to be closed: a session that nobody has any more is."""
 
@@ -57,6 +62,27 @@ def _is_here(endpoint: str) -> bool:
                 found.bind(address)
                 return True
     return False
+
+
+def _of_this_machine(listen: str) -> str:
+    """Where this machine reaches what listens there: on all its addresses, on the loopback."""
+    for anywhere, here in ANYWHERE.items():
+        listen = listen.replace(f"/{anywhere}:", f"/{here}:", 1)
+    return listen
+
+
+def _client(fleet: Fleet, router: str, security: Security | None, asked: Callable[[], bool]) -> Bus:
+    """A client of the router of this process. Raises `BusError` when it was asked to end meanwhile."""
+    return Bus(
+        listen=[],
+        connect=[],
+        routers=[router],
+        security=security,
+        go_on_waiting=lambda: not asked(),
+        is_wanted=lambda: not asked(),
+        robots=len(fleet.robots),
+        lease_ms=fleet.lease_ms,
+    )
 
 
 def security_of(fleet: Fleet, folder: Path, name: str = MAIN) -> Security | None:
@@ -95,28 +121,42 @@ def serve(
     with ExitStack() as stack:
         zenoh_log = stack.enter_context(ZenohLog())
         init_log(FILTER)
-        router = stack.enter_context(Router([listen], connect, security, fleet.network.link_timeout_s))
+        router = stack.enter_context(
+            Router([listen], connect, security, fleet.network.link_timeout_s, fleet.lease_ms)
+        )
         about = f"router of {fleet.fleet.name} on {listen}{', secured' if security else ', not secured'}"
         log(about)
         gate = stack.enter_context(Gate(len(fleet.robots)))
         if gate.trouble:
             log(gate.trouble)
         presence = router.watch(alive(fleet.fleet.name, "*", "*")) if talks else None
+        batcher = None
+        if fleet.batches_beacons:
+            client = _client(fleet, _of_this_machine(listen), security, asked)
+            batcher = Batcher(fleet, stack.enter_context(client), time.time_ns())
         service.ready()
         service.says(about)
+        look_due_ns = 0
         while not asked():
+            if batcher is not None:
+                batcher.look(time.time_ns())
             now_ns = time.monotonic_ns()
-            for key, here in presence.update() if presence is not None else ():
-                robot, role = robot_of_alive(key) or (0, "")
-                log(f"robot {robot}'s {role} {'is connected' if here else 'is not connected any more'}")
-            for line in zenoh_log.lines(now_ns):
-                log(line)
-            for endpoint in router.look(now_ns):
-                log(f"was deaf to {endpoint or DIALLED}: link opened anew")
-            if knocked := gate.look(now_ns):
-                log(knocked)
-            service.lives(now_ns)
-            time.sleep(POLL_S)
+            if now_ns >= look_due_ns:
+                look_due_ns = now_ns + POLL_NS
+                for key, here in presence.update() if presence is not None else ():
+                    robot, role = robot_of_alive(key) or (0, "")
+                    log(f"robot {robot}'s {role} {'is connected' if here else 'is not connected any more'}")
+                for line in zenoh_log.lines(now_ns):
+                    log(line)
+                for endpoint in router.look(now_ns):
+                    log(f"was deaf to {endpoint or DIALLED}: link opened anew")
+                if knocked := gate.look(now_ns):
+                    log(knocked)
+                service.lives(now_ns)
+            rest_ns = look_due_ns - time.monotonic_ns()
+            if batcher is not None:
+                rest_ns = min(rest_ns, batcher.due_ns - time.time_ns())
+            time.sleep(max(0, rest_ns) / NS_PER_S)
         service.stopping()
         if leaves:
             _LEFT.append(stack.pop_all())

@@ -14,6 +14,7 @@ from typing import Any
 
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
+from agent.runtime.batches import Batches
 from agent.runtime.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
 from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
@@ -151,6 +152,7 @@ def bus_for(
     retry_ms: tuple[int, int] = RETRY_MS,
     keep_seals: bool = False,
     whenever: bool = False,
+    in_batches: bool = False,
 ) -> Bus:
     """The bus of one process of a fleet, secured or not, through its routers or not; see `Bus`, `SealedBus`.
 
@@ -158,6 +160,7 @@ def bus_for(
         identity, folder: of a secured fleet; None else.
         through_routers: False for a process that speaks only with its own robot's.
         keep_seals, whenever: as of a `SealedBus`.
+        in_batches: for one that listens to other robots all the time.
     """
     routers = fleet.router_endpoints if through_routers else ()
     # Robots find each other again within a second; an operator may be far away, and has the time, for all
@@ -165,6 +168,9 @@ def bus_for(
     link_timeout_s = fleet.network.link_timeout_s
     if not listen:
         link_timeout_s = max(link_timeout_s, LINK_TIMEOUT_S / max(1, len(routers)))
+    batches = None
+    if in_batches and routers and fleet.batches_beacons:
+        batches = Batches(fleet.fleet.name, fleet.ids, time.monotonic_ns(), hands=fleet.batches_hands)
     if identity is None or folder is None:
         return Bus(
             listen=listen,
@@ -176,6 +182,8 @@ def bus_for(
             link_timeout_s=link_timeout_s,
             retry_ms=retry_ms,
             robots=len(fleet.robots),
+            batches=batches,
+            lease_ms=fleet.lease_ms,
         )
     return SealedBus(
         fleet,
@@ -193,4 +201,6 @@ def bus_for(
         link_timeout_s=link_timeout_s,
         retry_ms=retry_ms,
         robots=len(fleet.robots),
+        batches=batches,
+        lease_ms=fleet.lease_ms,
     )

@@ -80,11 +80,11 @@ def access_settings(
     rules: list[dict[str, Any]] = [
         # Nothing is held back from those of the fleet. All others get nothing, whoever has signed their
         # certificates: Zenoh trusts the web's authorities besides ours, where a link is dialled.
-        _rule(_OUT, _EVERYTHING, ["**"], flow="egress"),
+        _rule(_OUT, _EVERYTHING, ["**", *key_expressions.batches(fleet)], flow="egress"),
         _rule(
             _LISTEN,
             ("declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"),
-            [key_expressions.everything(fleet)],
+            [key_expressions.everything(fleet), *key_expressions.batches(fleet)],
         ),
     ]
     subjects: list[dict[str, Any]] = []
@@ -113,7 +113,8 @@ def access_settings(
         )
     allow("operators", [of_operator(fleet, name) for name in operators], _orders(fleet), [])
     all_of_it = [key_expressions.everything(fleet)]
-    allow("routers", [of_router(fleet, name) for name in routers], all_of_it, all_of_it)
+    may_put = [*all_of_it, *key_expressions.batches(fleet)]
+    allow("routers", [of_router(fleet, name) for name in routers], may_put, all_of_it)
     return {
         "enabled": True,  # left out, there is no access control, and no warning
         "default_permission": "deny",

@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 from agent.common.compiled import COMPILED
 from agent.control.safety_distances import barrier_rate, speed_max
 from agent.fleet.model import Fleet
-from agent.supervision.status import STATUS_HZ, STATUSES_HZ
 from deploy.check.check import check
 from deploy.check.finding import Finding
 from deploy.check.network import load_of
@@ -28,12 +27,14 @@ MESH_TICK_S: Final = 0.35e-3
 AGENT_MESSAGE_S: Final = 38e-6
 PLANT_TICK_S: Final = 0.34e-3
 SHARED_TICK_S: Final = 0.08e-3
+BATCHED_S: Final = 8e-6
 ROUTER_MESSAGE_S: Final = 15e-6
 RECORDED_S: Final = 70e-6
 """Processor time, s, Zenoh's part in it. Of an agent for a second at any rate (it looks who is near, tells
 its status, keeps its links alive), for a round of its loop, so much more where it says what it says to each
-of the others, and for a message that it hears; of a plant for a round, and of one that shares its process
-(`deploy.check.sharing`); of a router for a message that it passes on; of `run` for one that it records."""
+of the others, for a message that it hears, and for one that came in a batch (the batch is a message); of a
+plant for a round, and of one that shares its process (`deploy.check.sharing`); of a router for a message that
+it passes on; of `run` for one that it records."""
 AGENT_COMPILED: Final = 0.66
 PLANT_COMPILED: Final = 0.85
 RUN_COMPILED: Final = 0.87
@@ -87,23 +88,16 @@ class Cost(NamedTuple):
 
 def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
     """What `fleet` costs, or one of as many robots like these; of a larger one each hears more beacons."""
-    n, rate = len(fleet.robots), fleet.fleet.rate_hz
-    load = load_of(fleet)
-    count = n if robots is None else robots
-    beacons = load.beacons * max(1.0, (count - 1) / max(1, n - 1))
-    heard = load.hands + beacons + load.own
-    # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    statuses = min(count * STATUS_HZ, STATUSES_HZ)
-    recorded = count * (3.0 * rate + rate / fleet.beacon_rounds_max) + statuses
-    routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
-    shared = sum(map(len, sharing(fleet))) / n
+    rate, count = fleet.fleet.rate_hz, len(fleet.robots) if robots is None else robots
+    load = load_of(fleet, count)
+    shared = sum(map(len, sharing(fleet))) / len(fleet.robots)
     plant_s = shared * SHARED_TICK_S + (1.0 - shared) * PLANT_TICK_S
     tick_s = AGENT_TICK_S + (0.0 if fleet.is_routed else MESH_TICK_S)
     cost = Cost(
-        AGENT_S + tick_s * rate + AGENT_MESSAGE_S * heard,
+        AGENT_S + tick_s * rate + AGENT_MESSAGE_S * (load.alone + load.batches) + BATCHED_S * load.batched,
         plant_s * rate,
-        ROUTER_MESSAGE_S * routed,
-        RECORDED_S * recorded,
+        ROUTER_MESSAGE_S * load.routed,
+        RECORDED_S * load.recorded,
         count,
     )
     if not COMPILED:

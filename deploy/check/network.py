@@ -11,7 +11,7 @@ from agent.control.safety_distances import sensing_distance
 from agent.fleet.hosts import MESH_ROBOTS_MAX
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, resolve, start_hands
-from agent.supervision.status import status_hz
+from agent.supervision.status import STATUS_HZ, STATUSES_HZ
 from deploy.check.finding import Finding
 from deploy.check.safety import parting
 
@@ -23,19 +23,25 @@ class Load(NamedTuple):
         links: between processes of the fleet, an operator's left out.
         hands, beacons, own: messages a second that an agent hears, on average over the robots: hand states
             of those that it listens to, others' beacons, its plant's states.
+        batches: messages a second in which those come that routers pass on in batches; batched: how many
+            are in them.
         routed: messages a second that all routers pass on, to robots and one operator.
+        recorded: messages a second that an operator hears.
     """
 
     links: int
     hands: float
     beacons: float
     own: float
+    batches: float
+    batched: float
     routed: float
+    recorded: float
 
     @property
-    def heard(self) -> float:
-        """Messages a second that an agent hears."""
-        return self.hands + self.beacons + self.own
+    def alone(self) -> float:
+        """Messages a second that an agent hears one by one."""
+        return self.hands + self.beacons + self.own - self.batched
 
 
 def beacon_hz(fleet: Fleet) -> float:
@@ -68,21 +74,28 @@ def listeners(fleet: Fleet, geometry: Geometry, *, at_start: bool = False) -> di
     return found
 
 
-def load_of(fleet: Fleet) -> Load:
-    """What the network of `fleet` carries while all are at their places. Robots that pass each other hear
-    more of each other.
+def load_of(fleet: Fleet, robots: int | None = None) -> Load:
+    """What the network of `fleet` carries while all are at their places, or that of one of as many robots
+    like these. Robots that pass each other hear more of each other.
 
     Raises:
         agent.fleet.model.FleetError: its formation cannot be resolved.
     """
-    n, rate = len(fleet.robots), fleet.fleet.rate_hz
-    hands = sum(map(len, listeners(fleet, resolve(fleet)).values())) / n * rate
-    beacons = (n - 1) * beacon_hz(fleet)
-    if not fleet.is_routed:
-        return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0)
+    there, rate, each_hz = len(fleet.robots), fleet.fleet.rate_hz, beacon_hz(fleet)
+    n = there if robots is None else robots
+    hands = sum(map(len, listeners(fleet, resolve(fleet)).values())) / there * rate
+    beacons = (max(n, there) - 1) * each_hz
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    to_operator = n * (3.0 * rate + beacon_hz(fleet) + status_hz(fleet))
-    return Load(3 * n, hands, beacons, rate, n * (hands + beacons) + to_operator)
+    recorded = n * (3.0 * rate + each_hz) + min(n * STATUS_HZ, STATUSES_HZ)
+    if not fleet.is_routed:
+        return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0, 0.0, 0.0, recorded)
+    batches = batched = gathered = 0.0
+    if fleet.batches_beacons:  # at most one batch a round
+        batches, batched, gathered = min(rate, n * each_hz), beacons, n * each_hz
+    if fleet.batches_hands:
+        batches, batched, gathered = batches + rate, batched + hands, gathered + n * rate
+    routed = n * (hands + beacons - batched + batches) + gathered + recorded
+    return Load(3 * n, hands, beacons, rate, batches, batched, routed, recorded)
 
 
 def describe_links(fleet: Fleet) -> str:
@@ -99,6 +112,9 @@ def describe_links(fleet: Fleet) -> str:
     heard = [(load.hands, hands), (load.beacons, "beacons"), (load.own, "states of its plant")]
     text += f": {load.links} link{'s' * (load.links != 1)}; a robot hears "
     text += f"{', '.join(f'{rate:.0f} {what}' for rate, what in heard if rate)} a second"
+    if load.batches:
+        what = "both" if fleet.batches_hands else "beacons"
+        text += f" ({what} in {load.batches:.0f} batches)"
     return text + (f", routers pass on {load.routed:.0f}" if load.routed else "")
 
 

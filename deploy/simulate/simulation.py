@@ -18,7 +18,7 @@ from functools import lru_cache, partial
 from math import ceil
 from typing import Final
 
-from agent.common.time import NS_PER_S, LocalTime
+from agent.common.time import NS_PER_MS, NS_PER_S, LocalTime
 from agent.core import Agent
 from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
@@ -40,8 +40,8 @@ from deploy.simulate.bodies import Bodies
 from plant.node import PlantNode
 
 LATENCY_NS: Final = 100_000
-LEASE_NS: Final = 900_000_000
-"""A process that is paused is seen to go so long after, as measured for `agent.runtime.bus.LEASE_MS`."""
+LEASE_SHARE: Final = 0.9
+"""A process that is paused is seen to go after so much of `Fleet.lease_ms`, as measured."""
 WARM_UP_PERIODS: Final = 10
 """Periods from the start to the epoch, for a fleet that is ready after half of them; more where agents first
 listen for who is near."""
@@ -266,6 +266,7 @@ class Simulation:
         nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]
         nodes += [("agent", node.robot, node) for node in self.agents]
         self._bus = _Bus(len(fleet.ids))
+        self._lease_ms = fleet.lease_ms
         self._hosts = [_Host(node, clocks[robot], self.now_ns, self._bus) for _, robot, node in nodes]
         self._order: dict[Process, int] = {(r, role): order for order, (role, r, _) in enumerate(nodes)}
         self._due = [(host.due_ns, order, host.life) for order, host in enumerate(self._hosts)]
@@ -331,7 +332,8 @@ class Simulation:
                 host.kept = ()
         elif action.what == "stop":
             host.pause()
-            self._at(self.now_ns + LEASE_NS, partial(host.lapse, host.life, self.now_ns + LEASE_NS))
+            gone_ns = self.now_ns + round(LEASE_SHARE * self._lease_ms * NS_PER_MS)
+            self._at(gone_ns, partial(host.lapse, host.life, gone_ns))
         else:
             if action.what == "start":
                 host.start(self._again(action.robot, action.role), self.now_ns)

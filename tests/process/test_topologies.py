@@ -9,14 +9,17 @@ import signal
 import time
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any, Self
 
 import pytest
 
 from agent.messages import key_expressions
+from agent.messages.batch import unpacked
 from agent.messages.codec import encode
 from agent.messages.types import PlantState, Status, Stop
+from agent.runtime.bus import Bus, Router
 from tests.process import attackers
-from tests.process.fleet_harness import ROUTED, ROUTER, Robots, all_ready
+from tests.process.fleet_harness import ROUTED, ROUTER, Robots, all_ready, placed
 from tests.process.harness import (
     BUSY,
     Command,
@@ -32,6 +35,8 @@ from tests.process.small_fleets import triangle
 from tests.process.test_run import AGREE_M, assert_complete
 
 NETWORK = ("--set", "network.base_port=21700")
+LARGE = ("avoidance.beacon_interval_max_s=1.6",)
+"""The override that has beacons come in batches."""
 DRIVE_S = 16.0
 HELD_S = 2.0
 STOOD_S = 2.5
@@ -111,6 +116,20 @@ def back(fleet: Robots, number: int) -> None:
     fleet.wait(lambda: log.read_text().count("router of") > before, f"router {number} listens")
 
 
+def batched(fleet: Robots, for_s: float) -> set[int]:
+    """Robots whose beacons come in batches meanwhile."""
+    found: set[int] = set()
+    with Bus(listen=[], connect=[], routers=fleet.fleet.router_endpoints) as bus:
+        batches = key_expressions.beacon_batch(fleet.name)
+        bus.subscribe(batches)
+        until = time.monotonic() + for_s
+        fleet.wait(lambda: time.monotonic() > until, "batches")
+        keys = {robot: str(robot) for robot in fleet.fleet.ids}
+        for _, payload in bus.drain():
+            found |= {int(robot) for robot, _ in unpacked(payload, len(keys), keys)}
+    return found
+
+
 def drive_on(fleet: Robots) -> None:
     """Waits until each has said that it drives and hears all of its neighbours, from now on."""
     from_ns = time.time_ns()
@@ -118,10 +137,12 @@ def drive_on(fleet: Robots) -> None:
         fleet.first(from_ns, Status, robot, lambda m: m.state == "running", f"robot {robot} drives")
 
 
-def test_one_router_is_enough_and_without_any_all_hold(tmp_path: Path) -> None:
+@pytest.mark.parametrize("more", [(), LARGE], ids=["small", "large"])
+def test_one_router_is_enough_and_without_any_all_hold(tmp_path: Path, more: tuple[str, ...]) -> None:
     slow = ("control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5", "fleet.rate_hz=25")
-    with all_ready(triangle(ROUTED, *slow), tmp_path / "r") as fleet:
+    with all_ready(triangle(ROUTED, *slow, *more), tmp_path / "r") as fleet:
         fleet.drive()
+        assert bool(batched(fleet, 1.0)) is bool(more)
         begun_ns = time.time_ns()
         for first, second in ((1, 2), (2, 1)):
             dies(fleet, first)
@@ -147,6 +168,34 @@ def test_one_router_is_enough_and_without_any_all_hold(tmp_path: Path) -> None:
             _, state = next(fleet.since(from_ns, PlantState, robot))
             assert abs(state.speed) < 0.3, "it begins to drive again from where it stood"
         no_trouble_in_logs(fleet.folder)
+
+
+class Unbatched(Robots):
+    """Behind routers that make no batches, as a zenohd."""
+
+    def start_router(self, number: int) -> None:
+        endpoint = self.fleet.router_endpoints[number - 1]
+        self.routers.enter_context(Router([endpoint], self.fleet.router_endpoints[: number - 1], None))
+
+    def __enter__(self) -> Self:
+        self.routers = ExitStack()
+        super().__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        super().__exit__(*error)
+        self.routers.close()
+
+
+def test_behind_a_router_that_makes_no_batches_each_robot_is_heard_by_itself(tmp_path: Path) -> None:
+    slow = ("control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5", "fleet.rate_hz=25")
+    with placed(triangle(ROUTED, *slow, *LARGE)) as here, Unbatched(here, tmp_path / "r") as fleet:
+        fleet.start_all()
+        fleet.wait_until_all("ready")
+        fleet.drive()
+        drive_on(fleet)
+        assert not batched(fleet, 1.0)
+        drive_on(fleet)
 
 
 def test_nobody_gets_in_through_a_router_and_a_stop_gets_through(tmp_path: Path) -> None:

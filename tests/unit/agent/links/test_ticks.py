@@ -8,9 +8,10 @@ from scipy import stats
 
 from agent.common.time import NS_PER_S
 from agent.core import Agent
+from agent.fleet.hosts import CROWD
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
-from agent.links.ticks import AGENTS_NS_MAX, CROWD, Ticks, agent_slot_ns, plant_slot_ns
+from agent.links.ticks import AGENTS_NS_MAX, Ticks, agent_slot_ns, plant_slot_ns
 from agent.messages.codec import encode
 from agent.messages.types import Faults, Mission
 from agent.node import Node

@@ -128,7 +128,9 @@ def test_a_router_that_does_not_answer_is_given_more_time_with_each_try(
 ) -> None:
     tried: list[float] = []
 
-    def refuses(_mode: str, _listen: object, _routers: object, _security: object, timeout_s: float) -> None:
+    def refuses(
+        _mode: str, _listen: object, _routers: object, _security: object, timeout_s: float, **_: object
+    ) -> None:
         tried.append(timeout_s)
         raise BusError("no router answers")
 

@@ -73,7 +73,7 @@ def test_all_is_denied_but_what_is_listed() -> None:
         assert allowed(settings, f"{FLEET}.robot.3", message) == []
         assert allowed(settings, "other.operator.main", message) == []
     for name in (f"{FLEET}.robot.1", f"{FLEET}.operator.main", f"{FLEET}.router.main"):
-        assert allowed(settings, name, "put", "egress") == ["**"]
+        assert allowed(settings, name, "put", "egress") == ["**", *key_expressions.batches(FLEET)]
     for name in ("anybody", "www.example.com", f"{FLEET}.robot.3"):  # other authorities may sign such ones
         assert allowed(settings, name, "put", "egress") == []
 
@@ -136,6 +136,18 @@ def test_a_router_passes_on_what_is_the_fleets() -> None:
     assert may(settings, name, "put", key_expressions.stop(FLEET))
     assert may(settings, name, "liveliness_token", key_expressions.alive(FLEET, 1, "agent"))
     assert not may(settings, name, "put", key_expressions.hand("other", 1))
+
+
+def test_batches_are_routers_and_all_of_the_fleet_hear_them() -> None:
+    settings = access_settings(FLEET, (1,), routers=("hall",))
+    for batches in key_expressions.batches(FLEET):
+        assert may(settings, f"{FLEET}.router.hall", "put", batches)
+        for name in ("robot.1", "operator.main"):
+            assert not may(settings, f"{FLEET}.{name}", "put", batches)
+            assert may(settings, f"{FLEET}.{name}", "declare_subscriber", batches)
+        assert not may(settings, "other.router.hall", "put", batches)
+    for batches in key_expressions.batches("other"):
+        assert not may(settings, f"{FLEET}.router.hall", "put", batches)
 
 
 def test_names_that_no_certificate_can_have() -> None:

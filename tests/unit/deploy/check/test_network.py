@@ -18,7 +18,8 @@ def test_a_mesh_links_each_to_each() -> None:
     load = load_of(delta())
     assert load.links == 15 + 6
     assert (load.hands, load.beacons, load.own) == pytest.approx((150.0, 25.0, 50.0))
-    assert load.heard == pytest.approx(225.0)
+    assert load.alone == pytest.approx(225.0)
+    assert load.recorded == pytest.approx(6 * (3 * 50 + 5 + 5))
     assert load.routed == 0.0
     assert describe_links(delta()) == (
         "a mesh: 21 links; a robot hears 150 hand states, 25 beacons, 50 states of its plant a second"
@@ -38,6 +39,26 @@ def test_routers_pass_on_what_robots_and_an_operator_hear() -> None:
         delta('network.topology="routed"')
     )
     assert "routed by a:7447: 18" in describe_links(delta('network.routers=["a:7447"]'))
+
+
+def test_of_many_robots_that_are_routed_what_all_hear_comes_in_batches() -> None:
+    large = ('network.topology="routed"', "avoidance.beacon_interval_max_s=1")
+    load = load_of(delta(*large))
+    assert (load.hands, load.beacons) == pytest.approx((150.0, 5.0))
+    assert (load.batches, load.batched) == pytest.approx((6.0, 5.0)), "a batch a second for each robot"
+    assert load.alone == pytest.approx(200.0)
+    assert load.routed == pytest.approx(6 * (150 + 6) + 6 + load.recorded)
+    assert "5 beacons, 50 states of its plant a second (beacons in 6 batches), routers" in describe_links(
+        delta(*large)
+    )
+    lattice = load_fleet(FLEETS / "lattice45.toml")
+    crowd = load_of(lattice)
+    assert crowd.batches == pytest.approx(2 * lattice.fleet.rate_hz), "two a round"
+    assert crowd.alone == pytest.approx(crowd.own)
+    assert " (both in 40 batches)" in describe_links(lattice)
+    twice = load_of(lattice, 90)
+    assert twice.batches == crowd.batches
+    assert twice.beacons == pytest.approx(crowd.beacons * 89 / 44)
 
 
 HOSTS = [f'robot.{k}.host="{name}"' for k, name in enumerate("abcabc", 1)]
