@@ -15,6 +15,9 @@ from deploy.processes.forking import UNSEEN, ForkServer
 
 LAST_LINES: Final = 5
 LINE_MAX: Final = 300
+END_TIMES: Final = 5.0
+"""Where processes end one after the other, so many times as long as for the next one is waited in all."""
+END_LOOK_S: Final = 0.1
 
 ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of a process with one thread for its linear algebra: matrices are tiny, threads are not."""
@@ -143,14 +146,26 @@ class Child:
 
 
 def end_all(children: Iterable[Child], timeout_s: float) -> list[Child]:
-    """Ends every child: SIGTERM to all, and SIGKILL after `timeout_s`. Returns those that needed it."""
-    children = list(children)
-    for child in children:
+    """Ends every child: SIGTERM to all, and SIGKILL to those that are left when for `timeout_s` none has
+    ended. Where many end on a machine that has little time for them they do so one after the other; what is
+    frozen is not waited for longer than `END_TIMES` as long. Returns those that needed it."""
+    left = list(children)
+    for child in left:
         child.terminate()
-    deadline = time.monotonic() + timeout_s
-    stubborn = [child for child in children if not child.wait(max(0.0, deadline - time.monotonic()))]
-    for child in stubborn:
+    began_s = ended_s = time.monotonic()
+    while left:
+        now_s = time.monotonic()
+        until_s = min(ended_s + timeout_s, began_s + END_TIMES * timeout_s)
+        ended = {child for child in left if child.wait(0.0)}
+        if ended:
+            ended_s = now_s
+            left = [child for child in left if child not in ended]
+        elif now_s >= until_s:
+            break
+        else:
+            left[0].wait(min(END_LOOK_S, until_s - now_s))
+    for child in left:
         child.kill()
-    for child in stubborn:
+    for child in left:
         child.wait(10.0)
-    return stubborn
+    return left
