@@ -14,6 +14,8 @@ SAID_NS: Final = NS_PER_S // 2
 PATIENCE_NS: Final = 3 * NS_PER_S
 """Where no batch has come for so long, as from a zenohd, robots are listened to singly, until one comes. A
 router that hangs is ended after as long (`agent.runtime.systemd_notify`)."""
+HANDS_KEPT: Final = 8
+"""Of each robot: when a router that stood goes on, several come at once."""
 STOOD_NS: Final = NS_PER_S
 """Who looks less often stood, and so may the whole machine have: that time does not count. In a crowd that
 has too little of a processor all would else begin to hear each robot by itself."""
@@ -39,6 +41,8 @@ class Batches:
         self._beacon_of = {robot: key_expressions.beacon(name, robot) for robot in robots}
         self._hand_of: dict[int, str] = {}
         """Of those that are listened to."""
+        self._hand_said: dict[str, list[bytes]] = {}
+        """By key: the hand states that came last, `HANDS_KEPT` at most."""
         self._until_ns, self._looked_ns = now_ns + PATIENCE_NS, now_ns
 
     def instead_of(self, subscriptions: Sequence[str]) -> list[str]:
@@ -67,10 +71,35 @@ class Batches:
     def opened(self, key: str, payload: bytes, now_ns: int) -> list[tuple[str, bytes]]:
         """What is wanted of a batch that came on `key`, (key, payload) as each robot said it. What is no
         batch comes as it is, to be refused and counted."""
-        keys = self._hand_of if key == self._hand else self._beacon_of
+        is_hand = key == self._hand
         try:
-            said = batch.unpacked(payload, self._robots, keys)
+            said = batch.unpacked(payload, self._robots, self._hand_of if is_hand else self._beacon_of)
         except Malformed:
             return [(key, payload)]
         self._until_ns = now_ns + PATIENCE_NS
-        return said
+        return self._new_hands(said) if is_hand else said
+
+    def came_singly(self, key: str, payload: bytes) -> None:
+        """A message came by itself while `wants_each`: it may be in the next batch, too."""
+        if key_expressions.robot_of_hand(self._name, key) is not None:
+            self._keep(key, payload)
+
+    def _keep(self, key: str, payload: bytes) -> None:
+        said = self._hand_said.setdefault(key, [])
+        said.append(payload)
+        if len(said) > HANDS_KEPT:
+            del said[0]
+
+    def _new_hands(self, said: list[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
+        """Of hand states in a batch those that have not come yet: what links that fail do to each is told,
+        and of none twice. Two routers may both make batches for a moment, and whoever is listened to singly
+        is heard singly. (Of beacons, which are seldom, rather one twice than one that was missed.)
+        """
+        if self.wants_each:
+            return []
+        new = []
+        for key, payload in said:
+            if payload not in self._hand_said.get(key, ()):
+                self._keep(key, payload)
+                new.append((key, payload))
+        return new

@@ -519,6 +519,8 @@ class Bus:
                 opened += batches.opened(*message, now_ns)
             else:
                 opened.append(message)
+                if batches.wants_each:
+                    batches.came_singly(*message)
         if batches.look(now_ns):
             self.listen(self._asked)
         return opened

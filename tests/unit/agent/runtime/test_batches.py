@@ -5,7 +5,7 @@ from __future__ import annotations
 from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.batch import packed
-from agent.runtime.batches import PATIENCE_NS, SAID_NS, STOOD_NS, Batches
+from agent.runtime.batches import HANDS_KEPT, PATIENCE_NS, SAID_NS, STOOD_NS, Batches
 
 NAME = "many"
 ALL = key_expressions.beacon(NAME, "*")
@@ -89,6 +89,39 @@ def test_of_hand_states_those_come_that_are_asked_for() -> None:
     assert made.opened(HANDS, batch, T0) == [(hand(3), b"three"), (hand(7), b"seven")]
     made.instead_of([hand(2), ALL])
     assert made.opened(HANDS, batch, T0) == [(hand(2), b"two")]
+
+
+def test_no_hand_state_comes_twice() -> None:
+    """From two routers that both take it to be their part, or by itself and in a batch: what was done to it
+    on its way would be told twice, and a recording be said to have been changed."""
+    made = batches(hands=True)
+    asked = [hand(3), hand(7), ALL]
+    made.instead_of(asked)
+    first, second = [(3, b"one"), (7, b"one")], [(3, b"one"), (7, b"two")]
+    assert made.opened(HANDS, packed(first, 30)[0], T0) == [(hand(3), b"one"), (hand(7), b"one")]
+    assert made.opened(HANDS, packed(second, 30)[0], T0) == [(hand(7), b"two")]
+    assert lasting(made, 5.0) == [PATIENCE_NS / NS_PER_S]
+    made.instead_of(asked)
+    assert made.opened(HANDS, packed([(3, b"three")], 30)[0], made._looked_ns) == []
+    for each in (b"three", b"four"):
+        made.came_singly(hand(7), each)
+    said = [(5, b"five")]
+    assert made.opened(BEACONS, packed(said, 30)[0], made._looked_ns) == [(beacon(5), b"five")]
+    assert lasting(made, 0.1) == [5.1], "and yet it is a sign that a router makes batches"
+    made.instead_of(asked)
+    after = packed([(3, b"four"), (7, b"three"), (7, b"four")], 30)[0]
+    assert made.opened(HANDS, after, made._looked_ns) == [(hand(3), b"four")]
+
+
+def test_what_is_remembered_of_hand_states_does_not_grow() -> None:
+    made = batches(hands=True)
+    made.instead_of([hand(3), ALL])
+    for k in range(5 * HANDS_KEPT):
+        said = [(3, b"%d" % k)]
+        assert len(made.opened(HANDS, packed(said, 30)[0], T0)) == 1
+        assert made.opened(HANDS, packed(said, 30)[0], T0) == []
+    made.came_singly(beacon(3), b"")
+    assert [len(said) for said in made._hand_said.values()] == [HANDS_KEPT]
 
 
 def test_what_is_no_batch_comes_as_it_is_and_is_no_sign_of_a_router() -> None:
