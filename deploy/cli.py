@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import threading
 import time
@@ -173,7 +174,11 @@ def process() -> int:
         status = main()
     except SystemExit as ended:  # of the parser
         status = ended.code if isinstance(ended.code, int) else PASSED
+    except KeyboardInterrupt:  # a second one, while the first was answered
+        exec("")  # as above
+        status = INTERRUPTED
     if threading.active_count() == 1:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends: what is said already is its status
         return status
     try:
         until = time.monotonic() + THREADS_S

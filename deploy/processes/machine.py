@@ -27,8 +27,10 @@ PAUSE_S: Final = 1.0
 ROUND_S: Final = 1.08e-3
 """Processor time of one round of `_work` where the costs of `deploy.check.capacity` were measured."""
 BUSY: Final = (
-    "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nos.write(1, b'.')\nwhile True: pass"
+    "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nos.write(1, b'.')\n"
+    "while os.getppid() == int(sys.argv[2]):\n for _ in range(100_000): pass"
 )
+"""It ends with its parent, however that does."""
 _CPUS: Final = Path("/sys/devices/system/cpu")
 _CGROUPS: Final = Path("/sys/fs/cgroup")
 _OWN_CGROUP: Final = Path("/proc/self/cgroup")
@@ -78,8 +80,11 @@ def _took_s(here: int, allowed: Collection[int]) -> float:
 @contextmanager
 def _busy(cpu: int) -> Iterator[None]:
     """A program that takes a processor."""
-    words = [sys.executable, "-I", "-S", "-c", BUSY, str(cpu)]
-    with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as program:
+    words = [sys.executable, "-I", "-S", "-c", BUSY, str(cpu), str(os.getpid())]
+    # In a process group of its own: a Ctrl-C is for this one.
+    with subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, process_group=0
+    ) as program:
         try:
             assert program.stdout is not None
             program.stdout.read(1)

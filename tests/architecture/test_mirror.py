@@ -59,7 +59,6 @@ BY_OTHERS: Final = {
         deploy/hosts/setup
         deploy/hosts/view
         deploy/inventory/running
-        deploy/processes/child
         deploy/processes/fork_server
         deploy/processes/ports
         deploy/processes/protocol

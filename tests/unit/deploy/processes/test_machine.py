@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
 from math import inf
 from pathlib import Path
 
@@ -99,3 +102,24 @@ def test_processors_of_one_core(tmp_path: Path) -> None:
     assert told("2\n") == []
     assert told("?") == []
     assert machine._siblings(tmp_path, 7) == []
+
+
+def test_the_program_beside_hears_no_ctrl_c_and_ends_with_whoever_started_it() -> None:
+    cpu = min(os.sched_getaffinity(0))
+    script = (
+        "import os, signal, subprocess\n"
+        "from deploy.processes import machine\n"
+        "made = []\n"
+        "popen = subprocess.Popen\n"
+        "subprocess.Popen = lambda *a, **k: made.append(popen(*a, **k)) or made[-1]\n"
+        f"with machine._busy({cpu}):\n"
+        "    assert os.getpgid(made[0].pid) != os.getpgid(0)\n"
+        "    print(made[0].pid, flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    pid = int(told.stdout)
+    until = time.monotonic() + 10.0
+    while Path(f"/proc/{pid}").exists() and "State:\tZ" not in Path(f"/proc/{pid}/status").read_text():
+        assert time.monotonic() < until, "it goes on"
+        time.sleep(0.01)
