@@ -75,7 +75,7 @@ def grouped(said: Iterable[tuple[str, int]]) -> list[tuple[str, list[int]]]:
     out: list[tuple[str, list[int]]] = []
     for texts in alike.values():
         if len(texts) > ALIKE_MAX:
-            out.append((_in_one(list(texts)), sorted(robot for ids in texts.values() for robot in ids)))
+            out.append((_in_one(list(texts)), sorted({robot for ids in texts.values() for robot in ids})))
         else:
             out += texts.items()
     return out

@@ -150,8 +150,10 @@ def _account(recording: Recording, status: StatusTable, start_s: float, end_s: f
     holes = np.diff([start_s, *status.t[within].tolist(), end_s])
     span_s = end_s - start_s
     usually = int(np.searchsorted(status.t, status.t[before] - USUAL_S))
-    before_s, there_s = (float(status.t[b] - status.t[a]) for a, b in ((usually, before), (before, after)))
-    usual, received = (grown(status, "received", a, b) for a, b in ((usually, before), (before, after)))
+    # What waited in a router comes after the span: where statuses are within, they tell what came in it.
+    last = within[-1] if within and 2.0 * float(status.t[within[-1]] - start_s) > span_s else after
+    before_s, there_s = (float(status.t[b] - status.t[a]) for a, b in ((usually, before), (before, last)))
+    usual, received = (grown(status, "received", a, b) for a, b in ((usually, before), (before, last)))
     return _Account(
         2 * stood_s(recording, status, before, after) > span_s,
         2 * float(holes.max()) <= span_s,

@@ -31,14 +31,17 @@ def silent(
     counted: dict[str, int] | None = None,
     state: str = "running",
     mode: str = "run",
+    waits: bool = False,
 ) -> Recording:
     """A run that lacks messages of these kinds of these robots.
 
     Args:
         counted: by how much more, or less, their agents have counted afterwards.
         state: of these meanwhile.
+        waits: what they would have received comes all at once at its end.
     """
     sent = []
+    had: dict[int, int] = {}
     for received_ns, key, message in messages(fleet, in_formation(fleet)):
         t = (message.time_ns - EPOCH_NS) / 1e9
         concerned = getattr(message, "robot", 0) in ids
@@ -51,6 +54,11 @@ def silent(
             message = message._replace(counters=tuple(counters.items()))
         elif concerned and type(message) is Status and t > FROM_S:
             message = message._replace(state=state)
+            if waits:
+                counters = dict(message.counters) | {"received": had[message.robot]}
+                message = message._replace(counters=tuple(counters.items()))
+        elif concerned and type(message) is Status:
+            had[message.robot] = dict(message.counters)["received"]
         sent.append((received_ns, key, message))
     return recorded(fleet, sent, mode)
 

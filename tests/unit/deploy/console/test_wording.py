@@ -46,6 +46,11 @@ def test_many_texts_that_differ_in_numbers_alone_say_from_which_to_which() -> No
     ]
 
 
+def test_one_of_whom_several_such_texts_are_said_is_named_once() -> None:
+    said = [(f"late by {k} s", robot) for k in range(ALIKE_MAX + 1) for robot in (7, 8)]
+    assert [ids for _, ids in grouped(said)] == [[7, 8]]
+
+
 def test_times_of_day_and_addresses_are_no_numbers() -> None:
     said = [(f"stopped at 12:00:0{k} by 10.0.0.{k}:7447, v1.{k}.0", k) for k in range(1, 7)]
     assert grouped(said) == [(text, [robot]) for text, robot in said]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.messages.types import PlantState, Status
+from agent.messages.types import HandState, PlantState, Status
 from deploy.recording.recording import Recording
 from deploy.verdict.standstills import Cause, machines, stalls, stood_alone
 from tests.unit.deploy.silent_run import (
@@ -32,6 +32,8 @@ CAUSES = [
     (silent(ALL, fleet=ROUTED, counted=UNHEARD | {"overruns": 2, "stood_ms": 40}), Cause.ROUTER),
     (silent(ALL, counted=UNHEARD), Cause.NETWORK),
     (silent(ALL, fleet=ROUTED), Cause.RECORDING),
+    (silent((PlantState, HandState), fleet=ROUTED), Cause.RECORDING),
+    (silent((PlantState, HandState), fleet=ROUTED, waits=True), Cause.ROUTER),  # what waited there came then
     (silent((PlantState,), fleet=ROUTED, state="fault"), Cause.PLANTS),
 ]
 
