@@ -14,8 +14,9 @@ SAID_NS: Final = NS_PER_S // 2
 PATIENCE_NS: Final = 3 * NS_PER_S
 """Where no batch has come for so long, as from a zenohd, robots are listened to singly, until one comes. A
 router that hangs is ended after as long (`agent.runtime.systemd_notify`)."""
-HANDS_KEPT: Final = 8
-"""Of each robot: when a router that stood goes on, several come at once."""
+SINGLY_KEPT: Final = 64
+"""So many hand states of each robot that came by themselves are known: when a router that stood goes on, all
+that waited there come at once, and as many wait here (`agent.node.INBOX_SIZE`)."""
 STOOD_NS: Final = NS_PER_S
 """Who looks less often stood, and so may the whole machine have: that time does not count. In a crowd that
 has too little of a processor all would else begin to hear each robot by itself."""
@@ -41,8 +42,10 @@ class Batches:
         self._beacon_of = {robot: key_expressions.beacon(name, robot) for robot in robots}
         self._hand_of: dict[int, str] = {}
         """Of those that are listened to."""
-        self._hand_said: dict[str, list[bytes]] = {}
-        """By key: the hand states that came last, `HANDS_KEPT` at most."""
+        self._hand_said: dict[str, bytes] = {}
+        self._singly: dict[str, set[bytes]] = {}
+        """By key: the hand state that came last in a batch; those that came singly since the last such time
+        began."""
         self._until_ns, self._looked_ns = now_ns + PATIENCE_NS, now_ns
 
     def instead_of(self, subscriptions: Sequence[str]) -> list[str]:
@@ -66,6 +69,8 @@ class Batches:
         self._until_ns += max(0, now_ns - self._looked_ns - STOOD_NS)
         self._looked_ns = now_ns
         before, self.wants_each = self.wants_each, now_ns >= self._until_ns
+        if self.wants_each and not before:
+            self._singly.clear()
         return self.wants_each is not before
 
     def opened(self, key: str, payload: bytes, now_ns: int) -> list[tuple[str, bytes]]:
@@ -82,13 +87,9 @@ class Batches:
     def came_singly(self, key: str, payload: bytes) -> None:
         """A message came by itself while `wants_each`: it may be in the next batch, too."""
         if key_expressions.robot_of_hand(self._name, key) is not None:
-            self._keep(key, payload)
-
-    def _keep(self, key: str, payload: bytes) -> None:
-        said = self._hand_said.setdefault(key, [])
-        said.append(payload)
-        if len(said) > HANDS_KEPT:
-            del said[0]
+            came = self._singly.setdefault(key, set())
+            if len(came) < SINGLY_KEPT:
+                came.add(payload)
 
     def _new_hands(self, said: list[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
         """Of hand states in a batch those that have not come yet: what links that fail do to each is told,
@@ -99,7 +100,7 @@ class Batches:
             return []
         new = []
         for key, payload in said:
-            if payload not in self._hand_said.get(key, ()):
-                self._keep(key, payload)
+            if self._hand_said.get(key) != payload and payload not in self._singly.get(key, ()):
+                self._hand_said[key] = payload
                 new.append((key, payload))
         return new

@@ -5,7 +5,7 @@ from __future__ import annotations
 from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.batch import packed
-from agent.runtime.batches import HANDS_KEPT, PATIENCE_NS, SAID_NS, STOOD_NS, Batches
+from agent.runtime.batches import PATIENCE_NS, SAID_NS, SINGLY_KEPT, STOOD_NS, Batches
 
 NAME = "many"
 ALL = key_expressions.beacon(NAME, "*")
@@ -113,15 +113,23 @@ def test_no_hand_state_comes_twice() -> None:
     assert made.opened(HANDS, after, made._looked_ns) == [(hand(3), b"four")]
 
 
-def test_what_is_remembered_of_hand_states_does_not_grow() -> None:
+def test_what_waited_in_a_router_that_stood_comes_once_and_is_not_remembered_for_ever() -> None:
     made = batches(hands=True)
     made.instead_of([hand(3), ALL])
-    for k in range(5 * HANDS_KEPT):
-        said = [(3, b"%d" % k)]
-        assert len(made.opened(HANDS, packed(said, 30)[0], T0)) == 1
-        assert made.opened(HANDS, packed(said, 30)[0], T0) == []
-    made.came_singly(beacon(3), b"")
-    assert [len(said) for said in made._hand_said.values()] == [HANDS_KEPT]
+    for _ in range(3):
+        now_ns = made._looked_ns
+        made.opened(BEACONS, packed([], 30)[0], now_ns)
+        lasting(made, 4.0)
+        assert made.wants_each
+        waited = [(3, b"%d at %d" % (k, now_ns)) for k in range(SINGLY_KEPT)]
+        for _, payload in waited:
+            made.came_singly(hand(3), payload)
+            made.came_singly(beacon(3), payload)
+        made.came_singly(hand(3), b"one more than wait")
+        made.opened(BEACONS, packed([], 30)[0], made._looked_ns)
+        lasting(made, 0.1)
+        assert made.opened(HANDS, packed(waited, 30)[0], made._looked_ns) == []
+        assert {key: len(came) for key, came in made._singly.items()} == {hand(3): SINGLY_KEPT}
 
 
 def test_what_is_no_batch_comes_as_it_is_and_is_no_sign_of_a_router() -> None:
