@@ -1,6 +1,6 @@
 """What a router does for the messages of a large fleet: it passes them on in batches, one a round.
 
-Everybody hears the beacon of everybody, and each message costs whom it reaches some 50 us, mostly to wake for
+Everybody hears the beacon of everybody, and each message costs whom it reaches some 40 us, mostly to wake for
 it: of 200 robots that would be all that two processors have. A batch costs as much as one message, and those
 that hear it take what is in it at their next tick anyway: so what is said in a round goes out before the next
 round, and is no older then than if each had come by itself. Where all robots share a machine their hand
