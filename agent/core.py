@@ -130,7 +130,7 @@ class Agent:
         )
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected
-        self._report = StatusReport(self.rejected, self._overload, self._radio, status_hz(fleet))
+        self._report = StatusReport(self.rejected, self._overload, self._radio, status_hz(len(fleet.robots)))
         self._route(name, others)
 
         self.alive_keys: Final = (key_expressions.alive(name, robot, "agent"),)

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 from agent.common.time import NS_PER_S
 from agent.control.peers.peer import NEVER, Peer
-from agent.fleet.model import Fleet
 from agent.links.radio import Radio
 from agent.messages.types import NeighbourStatus, Status, Total
 from agent.supervision.overload import Overload
@@ -24,9 +23,9 @@ STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
 
 
-def status_hz(fleet: Fleet) -> float:
-    """How often an agent of `fleet` says its status while nothing changes, 1/s."""
-    return min(STATUS_HZ, STATUSES_HZ / len(fleet.robots))
+def status_hz(robots: int) -> float:
+    """How often an agent of a fleet of so many robots says its status while nothing changes, 1/s."""
+    return min(STATUS_HZ, STATUSES_HZ / robots)
 
 
 class StatusReport:

@@ -11,7 +11,7 @@ from agent.control.safety_distances import sensing_distance
 from agent.fleet.hosts import MESH_ROBOTS_MAX
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, resolve, start_hands
-from agent.supervision.status import STATUS_HZ, STATUSES_HZ
+from agent.supervision.status import status_hz
 from deploy.check.finding import Finding
 from deploy.check.safety import parting
 
@@ -86,7 +86,7 @@ def load_of(fleet: Fleet, robots: int | None = None) -> Load:
     hands = sum(map(len, listeners(fleet, resolve(fleet)).values())) / there * rate
     beacons = (max(n, there) - 1) * each_hz
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    recorded = n * (3.0 * rate + each_hz) + min(n * STATUS_HZ, STATUSES_HZ)
+    recorded = n * (3.0 * rate + each_hz) + n * status_hz(n)
     if not fleet.is_routed:
         return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0, 0.0, 0.0, recorded)
     batches = batched = gathered = 0.0
@@ -141,6 +141,6 @@ def check_network(fleet: Fleet) -> Iterator[Finding]:
     yield Finding(
         "warning",
         "network",
-        f"{n} robots are linked each to each, by {n * (n - 1) // 2} links; {MESH_ROBOTS_MAX} are as many as "
-        "go well together: leave out network.topology",
+        f"{n} robots are linked each to each; {MESH_ROBOTS_MAX} are as many as go well together: leave out "
+        "network.topology",
     )

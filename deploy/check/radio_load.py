@@ -187,7 +187,7 @@ def _streams(
     if status is not None:
         up += [
             Stream(rate, 1, _size(_wrench(robot)), 1),
-            Stream(status_hz(fleet), 1, status, 1),
+            Stream(status_hz(len(fleet.robots)), 1, status, 1),
             Stream(rate, 1, _size(_plant_state(robot))),  # from another process
         ]
         if _tells_truth(fleet, robot):
@@ -230,7 +230,7 @@ def _plant_state(robot: int) -> PlantState:
 
 def _status_bytes(fleet: Fleet, robot: int, joined: Set[int]) -> int:
     """One of an uneventful drive: it tells of each tick since the last, and of each neighbour in each."""
-    ticks = round(fleet.fleet.rate_hz / status_hz(fleet))
+    ticks = round(fleet.fleet.rate_hz / status_hz(len(fleet.robots)))
     rows = tuple(NeighbourStatus(other, _ECHO_US, 10_000, 10, 100, 200) for other in joined)
     ages_us = (_ECHO_US,) * (ticks * len(rows))
     counted = tuple(Total(name, 10_000) for name in _COUNTERS)

@@ -89,12 +89,13 @@ class Terminal(TerminalView):
 
 def summary(picture: Picture) -> str:
     """One line: worst edge, closest pair, oldest message, and how many robots are in which state."""
-    parts = []
+    parts: list[str] = []
     if picture.worst is not None:
         parts.append("worst edge {:.3f} m off ({}-{})".format(*picture.worst))
     if picture.nearest is not None:
         parts.append("closest {:.3f} m ({}-{})".format(*picture.nearest))
-    parts.append(f"oldest message {picture.oldest_ms:.0f} ms")
+    if picture.oldest_ms is not None:
+        parts.append(f"oldest message {picture.oldest_ms:.0f} ms")
     states: dict[str, list[int]] = {}
     for robot, about in picture.robots.items():
         states.setdefault(about.state or "silent", []).append(robot)
@@ -102,7 +103,10 @@ def summary(picture: Picture) -> str:
         if state == State.RELEASED.value and len(robots) <= REASONS_MAX:
             shown = ", ".join(f"{robot} ({picture.robots[robot].reason})" for robot in robots)
         elif len(states) == 1:
-            parts.append(f"all {state}")
+            heard_s = min(
+                (about.silent_s for about in picture.robots.values() if about.silent_s), default=None
+            )
+            parts.append(f"all {state}" + (f" (nothing heard for {heard_s:.0f} s)" if heard_s else ""))
             continue
         elif len(robots) > NAMES_SHOWN:
             shown = f"{len(robots)} ({some(robots, PARTS_MAX)})"
@@ -180,7 +184,7 @@ def _table(picture: Picture) -> Table:
             plain(about.state or "-", STYLES.get(about.state, "")),
             "-" if about.error_m is None else f"{about.error_m:.3f}",
             "-" if about.off_m is None else f"{about.off_m:.2f}",
-            f"{about.age_ms:.0f}",
+            "-" if about.age_ms is None else f"{about.age_ms:.0f}",
             "-" if about.tick_us is None else str(about.tick_us),
             str(about.overruns),
             plain("; ".join(filter(None, (about.reason, _clock(about))))),

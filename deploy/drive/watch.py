@@ -15,6 +15,7 @@ from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import Beacon, Faults, HandState, Message, Mission, PlantState, Resume, Status, Stop
 from agent.supervision.state_machine import DRIVING_NAMES
+from agent.supervision.status import status_hz
 from deploy.analysis.places import AT_PLACE
 from deploy.analysis.silent_bodies import SilentBodies, SilentBody
 from deploy.drive.lagging import Lagging
@@ -24,14 +25,17 @@ from deploy.faults.wording import defaults, held, lasts, words
 from deploy.orders.operator import Known
 
 SILENT_S: Final = 2.0
-"""Who has said nothing for so long is silent; its agent speaks five times a second."""
+SILENT_STATUSES: Final = 4.0
+"""Who has said nothing for so long, and for so many of the times in which its agent tells its status, is
+silent."""
 
 
 @dataclass
 class Picture:
     """The fleet at one moment.
 
-    time_s is fleet time, negative before the epoch and None before it is set. Distances in m.
+    time_s is fleet time, negative before the epoch and None before it is set. Distances in m; none between two
+    robots that are both silent: what they said last does not hold any more.
     """
 
     time_s: float | None
@@ -49,9 +53,9 @@ class Picture:
     """Robots that are not heard, and where they are believed to be."""
 
     @property
-    def oldest_ms(self) -> float:
-        """Age of the oldest message that any robot acts on, ms."""
-        return max((robot.age_ms for robot in self.robots.values()), default=0.0)
+    def oldest_ms(self) -> float | None:
+        """Age of the oldest message that any robot acts on, ms; None where no robot is heard."""
+        return max((robot.age_ms for robot in self.robots.values() if robot.age_ms is not None), default=None)
 
 
 @dataclass
@@ -59,16 +63,18 @@ class RobotPicture:
     """One robot: its state and why, its worst distance error (m), the age of its oldest neighbour
     (ms), its last tick's time (us), the ticks it missed, what is wrong with clocks in its eyes: of the
     neighbour whose clock is furthest off, its id and by how much it is ahead (s); and how far it is from its
-    place (m)."""
+    place (m). Of one that is silent only its state, why, and the ticks that it missed until then."""
 
     state: str
     reason: str
     error_m: float | None
-    age_ms: float
+    age_ms: float | None
     tick_us: int | None
     overruns: int
     clock: tuple[int, float] | None = None
     off_m: float | None = None
+    silent_s: float | None = None
+    """For how long a robot that is silent has said nothing, s."""
 
 
 class Watch:
@@ -85,6 +91,7 @@ class Watch:
         self._heard: set[int] = set()
         self._heard_s: dict[int, float] = {}
         """Whose statuses have come since the last picture, and when (fleet time) the last of each had."""
+        self._silent_after_s = max(SILENT_S, SILENT_STATUSES / status_hz(len(fleet.robots)))
         self._news = News(fleet)
         self._rules = [rule for rule in FaultPlan(fleet).file_rules() if lasts(rule)]
         everywhere = defaults(fleet.faults)
@@ -151,15 +158,17 @@ class Watch:
             for robot, since_ns in removed
             if robot not in self.hands or self.hands[robot].time_ns <= since_ns
         }
+        silent_s = {} if time_s is None else self._silent_s(time_s)
         hands = at_once(self.hands)
-        picture.nearest = closest(hand for robot, hand in hands.items() if robot not in gone)
+        near = ((hand, robot in silent_s) for robot, hand in hands.items() if robot not in gone)
+        picture.nearest = closest(near)
         errors: dict[int, float] = {}
         least_m = inf
         for robot, here in hands.items():
             for edge in self._reference.edges(robot, now_ns):
                 least_m = min(least_m, edge.distance)
                 there = hands.get(edge.other)
-                if there is None or edge.weight < 1.0:
+                if there is None or edge.weight < 1.0 or (robot in silent_s and edge.other in silent_s):
                     continue
                 distance = hypot(here.x - there.x, here.y - there.y)
                 error = abs(distance - edge.distance)
@@ -168,17 +177,18 @@ class Watch:
                 if picture.worst is None or error > picture.worst[0]:
                     picture.worst = error, *pair
         if time_s is not None:
-            self._heard_s |= dict.fromkeys(self._heard, time_s)
-            self._heard.clear()
             picture.silent = self._silent.bodies(removed)
         picture.robots = {
             robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
         }
         for robot, about in picture.robots.items():
-            silent_s = (time_s or 0.0) - self._heard_s.get(robot, inf)
-            if silent_s > SILENT_S:
+            if robot in silent_s:
                 carried = ", and its body has been removed" if robot in gone else ""
-                about.state, about.reason = "silent", f"has said nothing for {silent_s:.0f} s{carried}"
+                why = f"has said nothing for {silent_s[robot]:.0f} s{carried}"
+                picture.robots[robot] = RobotPicture(
+                    "silent", why, None, None, None, about.overruns, silent_s=silent_s[robot]
+                )
+                continue
             place = self._reference.motion(robot, now_ns) if robot in self.hands else None
             if place is not None:
                 about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
@@ -190,6 +200,16 @@ class Watch:
             }
             picture.lagging = self._lagging.look(time_s, driving, AT_PLACE * least_m)
         return picture
+
+    def _silent_s(self, time_s: float) -> dict[int, float]:
+        """Robots that have been heard, and not for a while, and for how long."""
+        self._heard_s |= dict.fromkeys(self._heard, time_s)
+        self._heard.clear()
+        return {
+            robot: time_s - at_s
+            for robot, at_s in self._heard_s.items()
+            if time_s - at_s > self._silent_after_s
+        }
 
     def _now_ns(self, time_s: float | None) -> int:
         """The wall clock at this fleet time; 0 before the epoch is known."""
@@ -238,19 +258,24 @@ def at_once(hands: Mapping[int, HandState]) -> dict[int, HandState]:
     return found
 
 
-def closest(hands: Iterable[HandState]) -> tuple[float, int, int] | None:
-    """Distance (m) of the two hands nearest to each other, and the two robots; None without two."""
+def closest(hands: Iterable[tuple[HandState, bool]]) -> tuple[float, int, int] | None:
+    """Distance (m) of the two hands nearest to each other, and the two robots; None without two.
+
+    Args:
+        hands: with each whether its robot is silent: two that are do not count.
+    """
     found: tuple[float, int, int] | None = None
     least_m = inf
-    near: list[HandState] = []
-    for here in sorted(hands, key=lambda hand: hand.x):  # all pairs of a large fleet would take too long
-        near = [there for there in near if here.x - there.x < least_m]
-        for there in near:
+    near: list[tuple[HandState, bool]] = []
+    # All pairs of a large fleet would take too long.
+    for here, is_silent in sorted(hands, key=lambda each: each[0].x):
+        near = [each for each in near if here.x - each[0].x < least_m]
+        for there, is_other_silent in near:
             distance_m = hypot(here.x - there.x, here.y - there.y)
-            if distance_m < least_m:
+            if distance_m < least_m and not (is_silent and is_other_silent):
                 least_m = distance_m
                 found = distance_m, min(here.robot, there.robot), max(here.robot, there.robot)
-        near.append(here)
+        near.append((here, is_silent))
     return found
 
 

@@ -195,7 +195,7 @@ def one_mission(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violati
         return None
     if any(_cuts(span.rule) and span.end_s >= quiet_s for span in windows(recording)) or _cuts(fleet.faults):
         return None
-    heard_s = max(HEARD_S, 2.0 / status_hz(fleet))
+    heard_s = max(HEARD_S, 2.0 / status_hz(len(fleet.robots)))
     known: dict[int, tuple[int, int]] = {}
     for robot, data in recording.robots.items():
         status = data.status

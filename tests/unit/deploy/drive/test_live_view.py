@@ -344,6 +344,35 @@ def test_a_robot_that_falls_silent_is_shown_so_with_its_body() -> None:
     )
 
 
+def test_nothing_is_shown_of_a_fleet_of_which_nobody_is_heard() -> None:
+    """As while the router stands through which all comes: what was said last does not hold any more."""
+    watched = watch()
+    for robot, x in ((1, 0.0), (2, 1.0)):
+        told(watched, robot, "running", "", 1)
+        watched.feed(key_expressions.hand("pair", robot), at(robot, x, 0.3))
+    assert summary(watched.picture(1.0)).startswith("worst edge "), "they are heard"
+    picture = watched.picture(6.0)
+    assert picture.worst is picture.nearest is picture.oldest_ms is None
+    assert {about.off_m for about in picture.robots.values()} == {None}
+    assert summary(picture) == "all silent (nothing heard for 5 s)"
+    told(watched, 2, "running", "", 2)
+    picture = watched.picture(6.5)
+    assert picture.nearest is not None, "from one that is heard to where the other was"
+    assert picture.oldest_ms is not None
+
+
+def test_of_many_robots_each_may_be_heard_more_seldom() -> None:
+    watched = watch(
+        "".join(f"[[robot]]\nid = {k}\nx_m = {k}\ny_m = 0\nreserve = true\n" for k in range(3, 401))
+    )
+    told(watched, 2, "running", "", 1)
+    assert [watched.picture(at_s).robots[2].state for at_s in (1.0, 6.3, 6.4)] == [
+        "running",
+        "running",
+        "silent",
+    ]
+
+
 def test_how_far_robots_are_from_their_places_is_in_the_table() -> None:
     watched = watch()
     watched.feed(key_expressions.hand("pair", 1), at(1, -0.5, 0.3))

@@ -17,11 +17,14 @@ def at(robot: int, x: float, y: float) -> HandState:
     return HandState.placed(robot, 1, EPOCH_NS, True, 0, (x, y, 0.0, 0.0))
 
 
-@given(st.lists(st.tuples(st.integers(-4, 4), st.integers(-4, 4)), max_size=12))
-def test_the_closest_are_any_two(places: list[tuple[int, int]]) -> None:
-    found = closest([at(robot, 0.1 * x, 0.1 * y) for robot, (x, y) in enumerate(places, 1)])
+@given(st.lists(st.tuples(st.integers(-4, 4), st.integers(-4, 4), st.booleans()), max_size=12))
+def test_the_closest_are_any_two_of_which_one_is_heard(places: list[tuple[int, int, bool]]) -> None:
+    found = closest((at(robot, 0.1 * x, 0.1 * y), silent) for robot, (x, y, silent) in enumerate(places, 1))
     distances = {
-        (i + 1, j + 1): 0.1 * dist(places[i], places[j]) for j in range(len(places)) for i in range(j)
+        (i + 1, j + 1): 0.1 * dist(places[i][:2], places[j][:2])
+        for j in range(len(places))
+        for i in range(j)
+        if not (places[i][2] and places[j][2])
     }
     assert (found is None) == (not distances)
     if found is not None:
