@@ -57,7 +57,7 @@ Turn = tuple[Pooled, int, int, int]
 class PlantPool:
     """The plants `nodes` as one `agent.node.Node`. `PoolTicks` has to drive it.
 
-    It keeps no orders: nobody starts a pool again. A stop that lies in a folder reaches all of it.
+    Its lasting orders are those that all of its plants have taken.
 
     Args:
         logs: of each, writes a line of its log: one for each change of what it does.
@@ -77,8 +77,16 @@ class PlantPool:
         self.subscriptions: Final = tuple(self._takers)
         self.publications: Final = tuple(key for node in nodes for key in node.publications)
         self.watched: Final = ()
-        self.lasting: Final[tuple[bytes, ...]] = ()
+        self._lasting: tuple[bytes, ...] = ()
         self.condition: Final = ("serving", f"the plants of {len(nodes)} robots")
+
+    @property
+    def lasting(self) -> tuple[bytes, ...]:
+        """See `agent.node.Node`."""
+        first = self.pooled[0].node.lasting
+        if first is not self._lasting and all(each.node.lasting == first for each in self.pooled):
+            self._lasting = first
+        return self._lasting
 
     @property
     def rejected(self) -> Mapping[str, int]:
@@ -104,10 +112,12 @@ class PlantPool:
             each.node.runs_by(clock)
 
     def recall(self, now_ns: int, orders: Sequence[bytes]) -> None:
-        """Nothing: none are kept."""
+        """Gives each plant what was kept."""
+        for each in self.pooled:
+            each.node.recall(now_ns, orders)
 
     def kept(self, orders: tuple[bytes, ...], trouble: str) -> None:
-        """Nothing: none are kept."""
+        """Nothing, as of a plant."""
 
     def present(self, key: str, here: bool) -> None:
         """Nothing: a plant watches nobody's presence."""

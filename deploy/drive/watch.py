@@ -34,8 +34,8 @@ silent."""
 class Picture:
     """The fleet at one moment.
 
-    time_s is fleet time, negative before the epoch and None before it is set. Distances in m; none between two
-    robots that are both silent: what they said last does not hold any more.
+    time_s is fleet time, negative before the epoch and None before it is set. Distances in m; none between
+    two robots that are both silent: what they said last does not hold any more.
     """
 
     time_s: float | None

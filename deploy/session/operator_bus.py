@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -26,16 +27,20 @@ the robot a tenth of a second in which it accepts nobody else."""
 BOTH: Final = "some robots may have an earlier authority still: linking with both; `handfast up` ends that"
 
 
-def operator_bus(fleet: Fleet, *, whenever: bool = False) -> OperatorBus:
+def operator_bus(
+    fleet: Fleet, *, whenever: bool = False, is_wanted: Callable[[], bool] | None = None
+) -> OperatorBus:
     """On the bus of `fleet`, connected to every agent and plant, or to one of its routers; while an authority
     is being replaced, with the credentials of before as well.
 
     Args:
         whenever: tries it with a certificate that is not valid now, too, and says so: this machine's clock
             may be wrong.
+        is_wanted: asked again and again until a router answers, which is given up where it is not wanted any
+            more. The process has to end as `handfast` does then (`agent.runtime.bus.is_opening`).
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened, or is not wanted any more.
         InputError: the fleet is secured, and this operator has no certificate that is valid.
     """
     connect = [
@@ -43,7 +48,7 @@ def operator_bus(fleet: Fleet, *, whenever: bool = False) -> OperatorBus:
         for robot, role in (() if fleet.routers else receivers(fleet))
     ]
     if not fleet.is_secured:
-        return bus_for(fleet, None, None, _log, listen=[], connect=connect)
+        return bus_for(fleet, None, None, _log, listen=[], connect=connect, is_wanted=is_wanted)
     name, folder, who = fleet.fleet.name, keys_folder(fleet.fleet.name), operator_name()
     try:
         identity = of_operator(name, who)
@@ -64,8 +69,16 @@ def operator_bus(fleet: Fleet, *, whenever: bool = False) -> OperatorBus:
         pass  # said below
     try:
         if earlier:
-            return _joined(fleet, identity, folder, earlier, connect, whenever=whenever)
-        return bus_for(fleet, identity, folder, _log, listen=[], connect=connect, whenever=whenever)
+            return _joined(
+                *(fleet, identity, folder, earlier, connect), whenever=whenever, is_wanted=is_wanted
+            )
+        return bus_for(
+            *(fleet, identity, folder, _log),
+            listen=[],
+            connect=connect,
+            is_wanted=is_wanted,
+            whenever=whenever,
+        )
     except CredentialsError as error:
         raise InputError(f"{error}{_advice(error)}") from None
 
@@ -78,6 +91,7 @@ def _joined(
     connect: list[str],
     *,
     whenever: bool,
+    is_wanted: Callable[[], bool] | None,
 ) -> OperatorBus:
     """A bus with each of the credentials that can be used; raises as the first where there are none."""
     found: list[Bus | None] = []
@@ -91,6 +105,7 @@ def _joined(
                         listen=[],
                         connect=connect,
                         retry_ms=JOINED_RETRY_MS,
+                        is_wanted=is_wanted,
                         whenever=whenever,
                     )
                 )

@@ -7,7 +7,7 @@ the disk of the robots' computer, here (`stop_by_file`) or over ssh (`deploy.hos
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from typing import Final, Protocol
 
@@ -57,13 +57,16 @@ class Way(Protocol):
 class StopSession(Session):
     """The way over new links: to each of the fleet's processes as soon as it can be reached.
 
+    Args:
+        is_wanted: as of an `operator_bus`.
+
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened, or is not wanted any more.
         deploy.console.arguments.InputError: nor can it with this operator's certificate.
     """
 
-    def __init__(self, fleet: Fleet, stopping: Stopping) -> None:
-        super().__init__(fleet, operator_bus(fleet, whenever=True))
+    def __init__(self, fleet: Fleet, stopping: Stopping, is_wanted: Callable[[], bool]) -> None:
+        super().__init__(fleet, operator_bus(fleet, whenever=True, is_wanted=is_wanted))
         name = fleet.fleet.name
         self._key = key_expressions.stop(name)
         self.bus.declare(self._key)
@@ -88,6 +91,31 @@ class StopSession(Session):
         return len(self.alive) > self._sent_to or self._stopping.message is not self._sent
 
 
+class _OtherWays:
+    """All ways besides new links."""
+
+    def __init__(self, ways: Sequence[Way], stopping: Stopping) -> None:
+        self._ways, self._stopping = ways, stopping
+        self._sent: Stop | None = None
+
+    def send(self) -> None:
+        """Sends the stop, unless it was sent as it is now."""
+        if self._stopping.message is not self._sent:
+            self._sent = self._stopping.message
+            for way in self._ways:
+                way.send(self._sent)
+
+    def collect(self) -> None:
+        """Takes what has come back until now, and sends the stop again if that has changed it."""
+        for way in self._ways:
+            way.collect(self._stopping)
+        self.send()
+
+    @property
+    def busy(self) -> bool:
+        return any(way.busy for way in self._ways)
+
+
 def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping, list[str]]:
     """What became of a stop of a running fleet, and what did not work of the ways by which it was sent.
 
@@ -102,31 +130,36 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
         deploy.console.arguments.InputError: nor can it with this operator's certificate, and nobody is heard
             by any other way.
     """
+    begun = time.monotonic()
     stopping = Stopping(fleet, time.time_ns(), reason)
     troubles: list[str] = []
     with ExitStack() as stack:
         for way in ways:
             stack.callback(way.close)
-            way.send(stopping.message)
+        others = _OtherWays(ways, stopping)
+        others.send()
         own = OwnOrders(fleet)
-        sent = stopping.message
         stopping.outdo(
             max((each.version for each in own.orders if not isinstance(each, Mission)), default=-1)
         )
-        if stopping.message is not sent:
-            for way in ways:
-                way.send(stopping.message)
+        others.send()
+
+        def is_wanted() -> bool:  # a router that does not answer is waited for
+            others.collect()
+            return not stopping.settled
+
         session: StopSession | None = None
         why: Exception | None = None
         try:
-            session = stack.enter_context(StopSession(fleet, stopping))
+            session = stack.enter_context(StopSession(fleet, stopping, is_wanted))
+            begun = time.monotonic()
         except (BusError, InputError) as error:
             if not ways:
                 raise
             troubles.append(f"not over new links: {error}")
             why = error
         own.keep(stopping.message)
-        _follow(stopping, session, ways)
+        _follow(stopping, session, others, begun)
         (own.put if stopping.ahead_s else own.keep)(stopping.message)
         if isinstance(why, InputError) and not stopping.heard:
             raise why
@@ -136,21 +169,21 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
     return stopping, [*troubles, *_said(ways)]
 
 
-def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]) -> None:
-    """Sends the stop again, and takes what comes back, until all brake or nothing more may come."""
-    begun, sent = time.monotonic(), stopping.message
+def _follow(stopping: Stopping, session: StopSession | None, others: _OtherWays, begun: float) -> None:
+    """Sends the stop again, and takes what comes back, until all brake or nothing more may come.
+
+    Args:
+        begun: since when they could answer (`time.monotonic`).
+    """
 
     def look() -> bool:
-        for way in ways:
-            way.collect(stopping)
-        return (
-            stopping.settled or stopping.message is not sent or (session is not None and session.is_to_send)
-        )
+        others.collect()
+        return stopping.settled or (session is not None and session.is_to_send)
 
     while not stopping.settled:
         waited_s = time.monotonic() - begun
         if waited_s >= ANSWER_S:
-            more = waited_s < WAIT_S and (stopping.is_being_kept or any(way.busy for way in ways))
+            more = waited_s < WAIT_S and (stopping.is_being_kept or others.busy)
             if not more:
                 look()  # a way may have told its last between the look before and its end
                 return
@@ -159,10 +192,6 @@ def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]
             session.send()
         elif not look():
             time.sleep(SEND_PERIOD_S)
-        if stopping.message is not sent:
-            sent = stopping.message
-            for way in ways:
-                way.send(sent)
 
 
 def _said(ways: Iterable[Way]) -> list[str]:

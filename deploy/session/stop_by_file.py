@@ -12,10 +12,11 @@ from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Resume, Stop
 from agent.messages.validation import Malformed
-from agent.runtime.order_store import FILE_BYTES_MAX, STOP_FILE, OrderFileError, packed, unpacked
+from agent.runtime.order_store import FILE_BYTES_MAX, STOP_FILE, OrderFileError, order_file, packed, unpacked
 from agent.security.private_files import KeyFileError, exists, read, write
 from agent.security.sealed_order import Forged, payload_of
 from agent.supervision.state_machine import State
+from deploy.check.sharing import sharing
 from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
 from deploy.session.sealing import sealed
 
@@ -45,6 +46,8 @@ class FileWay:
     def __init__(self, fleet: Fleet, folder: Path) -> None:
         self._fleet, self._folder = fleet, folder
         self._found: set[tuple[int, str]] = set()
+        # Bodies that share a process have what it keeps under the name of the first.
+        self._keeps = {robot: part[0] for part in sharing(fleet) for robot in part}
         self.troubles: list[str] = []
 
     def send(self, stop: Stop) -> None:
@@ -57,11 +60,17 @@ class FileWay:
 
     def collect(self, stopping: Stopping) -> None:
         """Tells who has kept the stop: who does has obeyed it, if no later resume is kept beside it."""
+        of_pools: dict[int, tuple[int, int]] = {}
         for robot in self._fleet.ids:
             for role in ROLES:
                 if (robot, role) in self._found:
                     continue
-                stop, resume = kept_versions(self._kept(robot, role), is_secured=self._fleet.is_secured)
+                if role == "plant" and (first := self._keeps.get(robot)) is not None:
+                    if first not in of_pools:
+                        of_pools[first] = self._kept_versions(first, role)
+                    stop, resume = of_pools[first]
+                else:
+                    stop, resume = self._kept_versions(robot, role)
                 if stop < stopping.message.version:
                     continue
                 if resume > stop:  # it is to be outdone
@@ -71,8 +80,11 @@ class FileWay:
                 state = State.STOPPING.value if role == "agent" else PLANT_BRAKES
                 stopping.found(time.time_ns(), robot, role, state, stop, WAY)
 
+    def _kept_versions(self, robot: int, role: str) -> tuple[int, int]:
+        return kept_versions(self._kept(robot, role), is_secured=self._fleet.is_secured)
+
     def _kept(self, robot: int, role: str) -> Sequence[bytes]:
-        path = self._folder / f"robot-{robot}-{role}.json"
+        path = order_file(self._folder, robot, role)
         try:
             return unpacked(read(path, most=FILE_BYTES_MAX)) if exists(path) else ()
         except (KeyFileError, OrderFileError):

@@ -30,11 +30,11 @@ def drive(folder: Path, *more: str, rule: str = "") -> Command:
     return Command(folder, "run", str(file), "--out", str(out), "--no-report", *NETWORK, *more)
 
 
-def plants_of(command: Command) -> dict[int, str]:
-    """Processes that have bodies, and their command lines."""
+def processes_of(command: Command, module: str = "plant") -> dict[int, str]:
+    """Processes of a module, that with bodies unless another is named, and their command lines."""
     everybody = [command.process.pid, *children(command.process.pid)]
     found = {pid: text for parent in everybody for pid, text in children(parent).items()}
-    return {pid: text for pid, text in found.items() if "-m plant" in text}
+    return {pid: text for pid, text in found.items() if f"-m {module} " in text}
 
 
 def test_a_large_fleet_drives_with_its_bodies_in_one_process(tmp_path: Path) -> None:
@@ -43,7 +43,7 @@ def test_a_large_fleet_drives_with_its_bodies_in_one_process(tmp_path: Path) -> 
         told = command.wait_for_line(r"(?m)^starting 26 agents and 26 plants, (.*) on ports ")
         assert told[1] == "25 of them in 1 process,"
         assert command.wait_for_line(r"all (\d+) processes alive after")[1] == "28"
-        shared, alone = sorted(plants_of(command).values(), key=lambda text: "--with=" not in text)
+        shared, alone = sorted(processes_of(command).values(), key=lambda text: "--with=" not in text)
         others = ",".join(str(robot) for robot in range(2, ROBOTS + 1) if robot != ALONE)
         assert re.search(rf"--robot 1 .*--with={others} ", shared), shared
         assert f"--robot {ALONE} " in alone, alone
@@ -61,10 +61,26 @@ def test_a_large_fleet_drives_with_its_bodies_in_one_process(tmp_path: Path) -> 
     )
 
 
+def test_a_stop_of_all_of_them_is_known_to_be_kept_while_the_router_stands(tmp_path: Path) -> None:
+    """No link is needed: agents and bodies find it in their folder, and say there that they have it."""
+    with drive(tmp_path, "--duration", "60") as command:
+        command.wait_until_driving()
+        (router,) = processes_of(command, "agent.runtime.router")
+        os.kill(router, signal.SIGSTOP)
+        with Command(tmp_path / "stop", "stop", str(command.process.pid)) as stop:
+            assert stop.wait() == 0, stop.told()
+        ways = rf"{ROBOTS} robots brake, the last after \d+ ms \({ROBOTS} by a file on this machine\)"
+        assert re.fullmatch(ways, stop.out.strip()), stop.told()
+        assert not stop.err, stop.told()
+        os.kill(router, signal.SIGCONT)
+        command.process.send_signal(signal.SIGINT)
+        assert command.wait() == 130, command.told()
+
+
 def test_the_end_of_the_process_of_many_bodies_is_told_and_ends_the_run(tmp_path: Path) -> None:
     with drive(tmp_path, "--duration", "60") as command:
         command.wait_until_driving()
-        (pool,) = plants_of(command)
+        (pool,) = processes_of(command)
         pids = list(command.children())
         os.kill(pool, signal.SIGKILL)
         assert command.wait() == 1, command.told()

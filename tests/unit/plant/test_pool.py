@@ -128,6 +128,32 @@ def test_a_message_of_another_robot_reaches_nobody() -> None:
     assert pool.rejected == {"checksum": 3}, "one wrench, and a stop that each of the two took"
 
 
+def test_what_is_kept_is_what_all_have_taken_and_each_is_given_it_again() -> None:
+    made = fleet()
+    nodes, name = plants(made), made.fleet.name
+    pool = PlantPool(nodes, [lambda _: None] * 3)
+    assert pool.lasting == ()
+    due = PoolTicks(pool, T0)
+
+    def tick(pool: PlantPool = pool, due: PoolTicks = due) -> tuple[bytes, ...]:
+        due.take(due.due_ns)
+        pool.tick(due.due_ns)
+        due.plan(due.due_ns)
+        return pool.lasting
+
+    stop = encode(Stop(T0 // 1000, T0, "dinner"))
+    pool.receive(T0, key_expressions.relayed(name, 1), stop)
+    assert tick() == (), "only one has it"
+    pool.receive(T0, key_expressions.stop(name), stop)
+    assert tick() == (stop,)
+    assert tick() is pool.lasting, "nothing new, nothing to write"
+
+    again = PlantPool(plants(made), [lambda _: None] * 3)
+    again.recall(T0, pool.lasting)
+    assert tick(again, PoolTicks(again, T0)) == (stop,)
+    assert all("dinner" in each.node.condition[1] for each in again.pooled)
+
+
 def test_of_a_flood_the_newest_are_kept_and_of_one_key_alone() -> None:
     made = fleet()
     (node,) = plants(made)[:1]

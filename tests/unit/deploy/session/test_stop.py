@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -69,6 +70,30 @@ def test_one_way_is_enough() -> None:
     assert troubles == ["not over new links: its port is in use", "not over ssh to h1: no route"]
     assert dead.closed
     assert way.closed
+
+
+def test_no_way_waits_for_a_router_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one that stands: it is asked for only while another way has not told that all brake."""
+    asked = []
+
+    def opens(_fleet: object, _stopping: Stopping, is_wanted: Callable[[], bool]) -> None:
+        while is_wanted():
+            asked.append(None)
+        raise BusError("no router has answered until it was not wanted any more")
+
+    class Slow(Through):
+        looks = 0
+
+        def collect(self, stopping: Stopping) -> None:
+            self.looks += 1
+            if self.looks > 3:
+                super().collect(stopping)
+
+    monkeypatch.setattr(stop_module, "StopSession", opens)
+    way = Slow(known=time.time_ns() // 1_000 + 10**9)
+    assert stop(FLEET, "", [way])[0].done
+    assert len(way.sent) == 2, "a later resume is outdone meanwhile"
+    assert len(asked) == 4
 
 
 def test_what_a_way_tells_as_it_ends_counts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from agent.fleet.loading import parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Resume, Stop
 from agent.runtime.order_store import STOP_FILE, OrderStore, packed, unpacked
 from agent.security.private_files import private_directory
+from deploy.analysis.lattice import lattice
+from deploy.check.sharing import sharing
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.stop_by_file import WAY, FileWay, kept_versions
 from tests.unit.deploy.orders.order_fleets import square
@@ -54,6 +57,22 @@ def test_who_has_kept_it_is_known_to_brake(folder: Path) -> None:
     way.collect(stopping)
     assert [robot for robot in FLEET.ids if not stopping.stands_by(robot)] == [FLEET.ids[0]]
     assert WAY in stopping.outcome(FLEET.ids[1])
+
+
+def test_bodies_that_share_a_process_keep_it_together(folder: Path) -> None:
+    fleet = parse_fleet(lattice("many", 30, rate_hz=25.0), source="here")
+    way, stopping = FileWay(fleet, folder), Stopping(fleet, time.time_ns(), "")
+    way.send(stopping.message)
+    (first, *_), (other, *_) = sharing(fleet)
+    assert first == 1
+    for robot in fleet.ids:
+        keep(folder, robot, "agent", encode(stopping.message))
+    keep(folder, first, "plant", encode(stopping.message))
+    way.collect(stopping)
+    assert [robot for robot in fleet.ids if stopping.stands_by(robot)] == list(range(1, other))
+    keep(folder, other, "plant", encode(stopping.message))
+    way.collect(stopping)
+    assert stopping.done
 
 
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
