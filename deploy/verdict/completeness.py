@@ -218,18 +218,23 @@ def last_states(recording: Recording) -> dict[int, tuple[str, str] | None]:
 
 
 def _cut_short(recording: Recording) -> list[str]:
-    """A sentence if the run ended early, and nobody had planned that."""
-    end_s, planned_s = recording.end_s, recording.planned_s
+    """Sentences if the run ended early, and nobody had planned that."""
+    end_s, planned_s, stopped_s = recording.end_s, recording.planned_s, recording.stopped_s
     if end_s >= planned_s - GAP_S or _stopped_by_order(recording):
         return []
+    unheard_s = 0.0 if stopped_s is None else stopped_s - end_s
     why = ""
-    if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
+    if stopped_s is not None and unheard_s <= GAP_S:
         why = ": it was stopped"
     elif all(last and last[0] == State.FAULT.value for last in last_states(recording).values()):
         why = ": no robot could drive any more"
     elif recording.interrupted:
         why = ": it was interrupted"
-    return [f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}."]
+    ended = f"The run ended after {end_s + unheard_s:.1f} s of the {planned_s:.1f} s that were planned{why}."
+    if unheard_s <= GAP_S:
+        return [ended]
+    routed = ": its router may have stood" if recording.fleet.is_routed else ""
+    return [f"The data are incomplete: nothing came of any robot after {end_s:.1f} s{routed}.", ended]
 
 
 def _stopped_by_order(recording: Recording) -> bool:

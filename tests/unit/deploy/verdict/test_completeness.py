@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.common.time import NS_PER_S
 from agent.formation.geometry import resolve
-from agent.messages.types import Event, PlantState, Status
+from agent.messages import key_expressions
+from agent.messages.types import Event, PlantState, Status, Stop
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.recording.recording import Recording
 from deploy.verdict.completeness import Completeness, Gap
@@ -204,3 +206,18 @@ def test_poses_that_many_robots_lack_are_one_sentence() -> None:
         ["The data are incomplete: no pose came of 12 robots (1-12) for up to 0.9 s."], [],
     )  # fmt: skip
     assert len(gaps_of(8, is_late=False, moved_m=9.0)[0]) == 8
+
+
+@pytest.mark.parametrize("topology", ["mesh", "routed"])
+def test_a_run_ends_when_it_is_interrupted_whenever_robots_were_heard_last(topology: str) -> None:
+    fleet = replace(FLEET, network=replace(FLEET.network, topology=topology))
+    sent = [each for each in messages(fleet, in_formation(fleet)) if each[0] - EPOCH_NS < 3.05 * NS_PER_S]
+    stop = Stop(9, EPOCH_NS + 5 * NS_PER_S, "interrupted")
+    sent.append((stop.time_ns, key_expressions.stop(fleet.fleet.name), stop))
+    recording = replace(recorded(fleet, sent), interrupted=True)
+    assert recording.end_s == pytest.approx(3.0)
+    why = ": its router may have stood" if topology == "routed" else ""
+    assert Completeness(recording, analyse(recording, resolve(fleet))).reasons == [
+        f"The data are incomplete: nothing came of any robot after 3.0 s{why}.",
+        "The run ended after 5.0 s of the 8.0 s that were planned: it was interrupted.",
+    ]
