@@ -222,16 +222,18 @@ def _cut_short(recording: Recording) -> list[str]:
     end_s, planned_s, stopped_s = recording.end_s, recording.planned_s, recording.stopped_s
     if end_s >= planned_s - GAP_S or _stopped_by_order(recording):
         return []
-    unheard_s = 0.0 if stopped_s is None else stopped_s - end_s
+    said_s = [float(data.status.t[-1]) for data in recording.robots.values() if len(data.status)]
+    unheard_s = 0.0 if stopped_s is None else stopped_s - max(end_s, *said_s, 0.0)
     why = ""
-    if stopped_s is not None and unheard_s <= GAP_S:
+    if stopped_s is not None and stopped_s <= end_s + GAP_S:
         why = ": it was stopped"
     elif all(last and last[0] == State.FAULT.value for last in last_states(recording).values()):
         why = ": no robot could drive any more"
     elif recording.interrupted:
         why = ": it was interrupted"
-    ended = f"The run ended after {end_s + unheard_s:.1f} s of the {planned_s:.1f} s that were planned{why}."
-    if unheard_s <= GAP_S:
+    cut_s = end_s if stopped_s is None or unheard_s <= GAP_S else stopped_s
+    ended = f"The run ended after {cut_s:.1f} s of the {planned_s:.1f} s that were planned{why}."
+    if cut_s == end_s:
         return [ended]
     routed = ": its router may have stood" if recording.fleet.is_routed else ""
     return [f"The data are incomplete: nothing came of any robot after {end_s:.1f} s{routed}.", ended]
