@@ -94,7 +94,8 @@ def _check_edges(formation: Mapping[str, Any], ids: Sequence[int | None], reader
             reader.add(place, f"{shown} joins robot {show(edge[0])} to itself: an edge joins two robots")
             continue
         missing = [show(end) for end in edge if end not in known]
-        if missing and None not in ids and ids:  # a robot whose id could not be read may be the one
+        # A robot whose id could not be read, or is another's, may be the one.
+        if missing and None not in ids and 0 < len(ids) == len(known):
             there_are = show(sorted(known), 80)[1:-1]
             reader.add(
                 place, f"{shown}: there is no robot {' and no robot '.join(missing)}; ids are {there_are}"

@@ -43,7 +43,9 @@ class SilentBody(NamedTuple):
     @property
     def how_long(self) -> str:
         """For how long it has not been heard, in words."""
-        return "since the drive began" if self.silent_s is None else f"for {self.silent_s:.0f} s"
+        if self.silent_s is None:
+            return "since the drive began"
+        return "for less than 1 s" if self.silent_s < 1.0 else f"for {self.silent_s:.0f} s"
 
     @property
     def where(self) -> str:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -25,7 +25,7 @@ WORDS_S: Final = 5.0
 SHARE: Final = 0.1
 """Who changed what the law asked for in a smaller share of a robot's ticks than this did not hold it."""
 FAST: Final = 0.8
-"""Above this share of the greatest speed, a place is hard to catch up with."""
+"""Above this share of the greatest speed a place is hard to catch up with, and a robot as fast as it can."""
 SILENT_S: Final = 2.0
 """A robot that has said nothing for so long is silent; its agent speaks five times a second."""
 _NEAR: Final = 1.05
@@ -84,10 +84,12 @@ class Causes:
         keepers = [f"{name}{self._silence(name)}" for name in keepers if f"{name} " not in f"{told} "]
         if keepers:
             found.append(f"held up by {' and '.join(keepers)}")
+        most_mps, fast_mps = speed_max(fleet), self.place_speed(index)
         limits = [said for name, said in _LIMITS.items() if name in held and name not in told]
         if limits:
             found.append(f"at the limit of {' and of '.join(limits)}")
-        most_mps, fast_mps = speed_max(fleet), self.place_speed(index)
+        if not limits and self._approach(index) > FAST * most_mps:
+            found.append(f"as fast as {speed_limit(fleet)} allows")
         if fast_mps > FAST * most_mps:
             found.append(f"places move at {fast_mps:.2f} m/s and the limit is {speed_limit(fleet)}")
         return found
@@ -104,11 +106,21 @@ class Causes:
 
     def place_speed(self, index: int) -> float:
         """Mean speed of a robot's place in the last `LOOK_S`, m/s; 0 without one."""
-        a = self._a
-        first = int(np.searchsorted(a.grid, self._t - LOOK_S))
-        span_s = self._t - float(a.grid[first])
-        moved = norm(a.desired[self._row, index] - a.desired[first, index])
-        return float(moved) / span_s if span_s > 0.0 and np.isfinite(moved) else 0.0
+        return self._mean(
+            lambda first: norm(self._a.desired[self._row, index] - self._a.desired[first, index])
+        )
+
+    def _approach(self, index: int) -> float:
+        """By how much a robot came nearer to its place in a second of the last `LOOK_S`, m/s."""
+        away = norm(self._a.desired[:, index] - self._a.hands[:, index])
+        return self._mean(lambda first: away[first] - away[self._row])
+
+    def _mean(self, over: Callable[[int], Any]) -> float:
+        """What changed from a row of the grid `LOOK_S` ago until now, in a second; 0 where unknown."""
+        grid = self._a.grid
+        first = int(np.searchsorted(grid, self._t - LOOK_S))
+        span_s, changed = self._t - float(grid[first]), float(over(first))
+        return changed / span_s if span_s > 0.0 and np.isfinite(changed) else 0.0
 
     @cached_property
     def _near_m(self) -> float:

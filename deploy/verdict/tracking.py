@@ -107,10 +107,12 @@ class Tracking:
     @property
     def reasons(self) -> list[str]:
         """Sentences that fail the verdict, one for all robots with the same cause."""
-        return [
-            f"{self._how_far(each)}: {'; '.join(why) or 'the recording does not say why'}."
-            for why, each in _by_cause([off for off in self.off if not off.excused])
-        ]
+        out = []
+        for why, each in _by_cause([off for off in self.off if not off.excused]):
+            comes = all(off.due_s < inf for off in each)
+            unsaid = "on the way, and coming nearer" if comes else "the recording does not say why"
+            out.append(f"{self._how_far(each)}: {'; '.join(why) or unsaid}.")
+        return out
 
     @property
     def warnings(self) -> list[str]:

@@ -36,7 +36,7 @@ def test_the_small_fleet() -> None:
     ("override", "problem"),
     [
         (
-            "robot.7.id=3",
+            "robot.7.id=3",  # and nothing of edges: a robot 7 is meant
             "--set robot.7.id: robot[1] has the id 3 already: ids must differ",
         ),
         (

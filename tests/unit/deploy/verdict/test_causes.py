@@ -137,6 +137,23 @@ def test_a_place_that_is_hard_to_catch_up_with(speed_mps: float, said: bool) -> 
     assert causes(run(*FAR, fleet=base), 1) == (expected if said else [])
 
 
+@pytest.mark.parametrize(
+    ("speed_mps", "said"),
+    [
+        (0.45, ["as fast as control.max_speed_mps = 0.5 allows"]),
+        (0.2, []),
+        (-0.45, []),
+    ],
+)
+def test_a_robot_that_comes_as_fast_as_it_may(speed_mps: float, said: list[str]) -> None:
+    fleet = replace(LINE, control=replace(LINE.control, max_speed_mps=0.5))
+
+    def hand(t: float) -> tuple[float, float]:
+        return -9.0 + speed_mps * t, 0.0
+
+    assert causes(run(hand, *FAR[1:], fleet=fleet), 1) == said
+
+
 def test_a_robot_that_nothing_keeps_is_held_back_by_whom_it_shares_an_edge_with() -> None:
     ways = standing(0, -0.3), standing(1, -0.3), standing(2, 0)
     recording = run(*ways, reasons={2: "on its way round post 7"})

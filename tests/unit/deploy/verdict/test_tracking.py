@@ -91,7 +91,8 @@ def test_a_drive_that_is_too_short_to_get_there_warns() -> None:
         [],
         [
             "Robots 1 and 2 were up to 7.50 m (robot 1) from their places at the end (15.0 s), where 0.25 m "
-            "is allowed, and coming nearer. The drive ended too early to judge that."
+            "is allowed, and coming nearer: as fast as control.max_speed_mps = 1.5 allows. The drive ended "
+            "too early to judge that."
         ],
     )
     assert verdict(run(far, lambda t: 30.0))[0] == [], "an orbit on the way there does not fail a short drive"
@@ -99,8 +100,12 @@ def test_a_drive_that_is_too_short_to_get_there_warns() -> None:
     assert verdict(run(longer, lambda t: 75.0 - 1.5 * t))[0] == [], "it never was there, and soon will be"
     (reason,), _ = verdict(run(longer, lambda t: 300.0 - 1.5 * t))
     assert "were up to 240.00 m" in reason, "the end of that is not in sight"
+    assert reason.endswith("allowed: as fast as control.max_speed_mps = 1.5 allows.")
+    (reason,), _ = verdict(run(longer, lambda t: 300.0 - 1.0 * t))
+    assert reason.endswith("allowed: on the way, and coming nearer.")
     (reason,), _ = verdict(run(longer, lambda t: 30.0))
     assert "were up to 30.00 m" in reason
+    assert reason.endswith("allowed: the recording does not say why.")
 
 
 def test_who_has_fallen_back_and_comes_nearer_by_chance_fails() -> None:
