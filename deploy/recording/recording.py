@@ -5,11 +5,11 @@ Times are fleet time (s): wall clock minus the mission's epoch.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, wraps
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from deploy.recording.tables import (
     StatusTable,
     Table,
 )
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -229,3 +231,18 @@ class Recording:
                 out[:, index, 0] = np.interp(grid, body.t, x)
                 out[:, index, 1] = np.interp(grid, body.t, y)
         return out
+
+
+def once(compute: Callable[[Recording], T]) -> Callable[[Recording], T]:
+    """`compute`, done once for each recording: what it gave is kept with it, as a cached property is."""
+    name = f"{compute.__module__}.{compute.__qualname__}"
+
+    @wraps(compute)
+    def found(recording: Recording) -> T:
+        known = recording.__dict__
+        if name not in known:
+            known[name] = compute(recording)
+        value: T = known[name]
+        return value
+
+    return found

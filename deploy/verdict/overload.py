@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from deploy.console.wording import robots
-from deploy.recording.recording import Recording
+from deploy.recording.recording import Recording, once
 from deploy.verdict.lateness import Late, Made, made_late, unexplained
 from deploy.verdict.standstills import Cause, Stall, Stand, machines, stalls, stood_alone
 
@@ -115,6 +115,7 @@ def late_robots(recording: Recording) -> frozenset[int]:
     return frozenset(_too_late(recording))
 
 
+@once
 def _too_late(recording: Recording) -> Mapping[int, Late]:
     """Of `late_robots`, by how much more than what was done to them, or that they stood alone, explains."""
     if recording.mode == "simulate" or recording.fleet.control.law is not None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.supervision.state_machine import State
 from deploy.analysis.presence import downs
-from deploy.recording.recording import Recording
+from deploy.recording.recording import Recording, once
 from deploy.recording.tables import StatusTable
 from deploy.verdict.lateness import grown, made_late, stood_s
 
@@ -81,7 +81,8 @@ def machines(recording: Recording) -> Mapping[str, Sequence[int]]:
     return found
 
 
-def stalls(recording: Recording) -> list[Stall]:
+@once
+def stalls(recording: Recording) -> Sequence[Stall]:
     """The times in which nothing came of the robots of a machine, of those that went on before the end, and
     had more than one robot: a plant that hangs is no machine."""
     if recording.mode == "simulate":
@@ -101,7 +102,8 @@ def stalls(recording: Recording) -> list[Stall]:
     return found
 
 
-def stood_alone(recording: Recording) -> list[Stand]:
+@once
+def stood_alone(recording: Recording) -> Sequence[Stand]:
     """The agents that stood still while most others of their machine, and of its plants, ran, and that nobody
     had made stand on purpose."""
     if recording.mode == "simulate":
