@@ -11,10 +11,10 @@ from pathlib import Path
 from agent.common.time import Clock
 from agent.fleet.model import Fleet
 from agent.links.ticks import Ticks, plant_slot_ns
-from agent.runtime.bus import BusError
 from agent.runtime.loop import Log
 from agent.runtime.process import Start, StartError, log_name, logger
 from agent.runtime.process import main as process_main
+from agent.transport.bus import BusError
 from plant.backend import PlantBackend
 from plant.node import PlantNode
 from plant.pool import PlantPool, PoolTicks

@@ -25,7 +25,6 @@ from agent.recorder.recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders
 from agent.recorder.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
 from agent.recorder.segments import About, Received
 from agent.recorder.writer_thread import RecorderThread
-from agent.runtime.bus import Bus, BusError
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
 from agent.runtime.loop import Log, Shutdown
@@ -33,6 +32,7 @@ from agent.runtime.process import StartError, logger, open_bus, robot_arguments
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.runtime.version import handfast_version
 from agent.security.identity import of_robot
+from agent.transport.bus import Bus, BusError
 
 POLL_S: Final = 0.05
 """Time between two looks at the bus, s."""

@@ -1,1 +1,1 @@
-"""Where an agent's process touches the machine: Zenoh, the real clock, signals, systemd, private folders."""
+"""Where an agent's process touches the machine but for the bus: the real clock, signals, systemd, folders."""

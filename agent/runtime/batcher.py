@@ -8,7 +8,7 @@ states go the same way (`Fleet.batches_hands`): a robot that hears ten others wo
 round.
 
 Of several routers the one with the least name does so; when it goes, the next. No two have to agree: what
-comes twice is known already. Who gets no batches listens to each robot (`agent.runtime.batches`).
+comes twice is known already. Who gets no batches listens to each robot (`agent.transport.batches`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Final, Protocol
 from agent.fleet.model import Fleet
 from agent.links.ticks import next_tick_ns
 from agent.messages import batch, key_expressions
-from agent.runtime.batches import SAID_NS
+from agent.transport.batches import SAID_NS
 
 AT: Final = 0.8
 """Batches of a round go out after so large a part of the period: agents have said what they say by then,
@@ -30,7 +30,7 @@ them."""
 
 
 class Tokens(Protocol):
-    """The part of an `agent.runtime.bus.Presence` that is needed; members as there."""
+    """The part of an `agent.transport.bus.Presence` that is needed; members as there."""
 
     alive: set[str]
 
@@ -38,7 +38,7 @@ class Tokens(Protocol):
 
 
 class Client(Protocol):
-    """The part of an `agent.runtime.bus.Bus` that is needed, of a client of the router; members as there."""
+    """What is needed of an `agent.transport.bus.Bus` that is a client of the router; members as there."""
 
     @property
     def name(self) -> str: ...

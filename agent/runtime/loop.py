@@ -14,11 +14,11 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, head
 from agent.messages.types import Stop
 from agent.node import TOLD_SHARE, Node
-from agent.runtime.bus import Bus
-from agent.runtime.listening_gate import Gate
 from agent.runtime.order_store import OrderStore
-from agent.runtime.presence import Watches
 from agent.runtime.systemd_notify import SystemdNotifier
+from agent.transport.bus import Bus
+from agent.transport.listening_gate import Gate
+from agent.transport.presence import Watches
 
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""

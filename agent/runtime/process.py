@@ -21,18 +21,18 @@ from agent.links.fault_plan import FaultPlan
 from agent.links.ticks import Deadlines
 from agent.messages import key_expressions
 from agent.node import Node
-from agent.runtime.bus import Bus, BusError, is_opening
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
-from agent.runtime.listening_gate import Gate
 from agent.runtime.loop import A_ROUTER, Log, OrderKeeper, Shutdown, loop
 from agent.runtime.order_store import OrderStore
 from agent.runtime.preloaded import fleet_of, started
-from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotValidNowError
 from agent.security.identity import of_robot
 from agent.security.private_files import KeyFileError
+from agent.transport.bus import Bus, BusError, is_opening
+from agent.transport.listening_gate import Gate
+from agent.transport.sealed_bus import bus_for
 
 GARBAGE: Final = 5_000
 """The collector looks each time that so many more objects are there than were: a loop makes hardly any that
@@ -130,10 +130,10 @@ def logger(whose: str, role: str, path: Path | None = None) -> Log:
 
 
 def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any) -> Bus:
-    """The bus of one of a robot's processes: see `agent.runtime.sealed_bus.bus_for`.
+    """The bus of one of a robot's processes: see `agent.transport.sealed_bus.bus_for`.
 
     Raises:
-        agent.runtime.bus.BusError: it cannot be opened now; nor can it with a certificate that is not valid
+        agent.transport.bus.BusError: it cannot be opened now; nor can it with a certificate that is not valid
             now (`agent.runtime.certificate_wait`).
         StartError: the fleet is secured and the robot's certificate cannot be used.
     """

@@ -23,17 +23,17 @@ from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from agent.messages.key_expressions import alive, robot_of_alive
 from agent.runtime.batcher import Batcher
-from agent.runtime.bus import Bus, BusError, Router, init_log
 from agent.runtime.certificate_wait import wait_until_valid
-from agent.runtime.listening_gate import Gate
 from agent.runtime.loop import DIALLED, Log, Shutdown
-from agent.runtime.sealed_bus import secured
 from agent.runtime.systemd_notify import SystemdNotifier
-from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
 from agent.security.credentials import CredentialsError, load
 from agent.security.identity import MAIN, of_router
 from agent.security.refusals import FILTER
+from agent.transport.bus import Bus, BusError, Router, init_log
+from agent.transport.listening_gate import Gate
+from agent.transport.sealed_bus import secured
+from agent.transport.zenoh_log import ZenohLog
 
 POLL_NS: Final = NS_PER_S // 10
 """How often it looks at its links, and is seen to live."""
@@ -209,7 +209,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         log(str(error))
         return BAD_INPUT
     log(f"ending ({shutdown.why})")
-    os._exit(PASSED)  # as a robot's process ends (`agent.runtime.bus.Bus.leave`)
+    os._exit(PASSED)  # as a robot's process ends (`agent.transport.bus.Bus.leave`)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ def real_results(
 
     Raises:
         deploy.processes.ports.NoPortsError, deploy.report.run_folder.FolderError,
-        deploy.recording.recorder.RecordingError, agent.runtime.bus.BusError: as
+        deploy.recording.recorder.RecordingError, agent.transport.bus.BusError: as
         `deploy.drive.local.LocalRun` and what it needs do.
     """
     for seed in seeds:

@@ -111,7 +111,7 @@ def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool, given_ns: int) 
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there.
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(OperatorSession(fleet), interrupt) as session:
         session.ask()

@@ -63,7 +63,7 @@ class LocalRun:
         """From start to end; whatever happens, no process is left.
 
         Raises:
-            agent.runtime.bus.BusError: the operator's session cannot be opened.
+            agent.transport.bus.BusError: the operator's session cannot be opened.
             deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped
             first).
         """

@@ -19,8 +19,8 @@ from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.validation import Malformed
-from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
+from agent.transport.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 from deploy.processes.local import VEHICLE, Processes
@@ -54,7 +54,7 @@ class Preflight:
         """What the vehicles tell; ends early when interrupted. Whatever happens, no process is left.
 
         Raises:
-            agent.runtime.bus.BusError: the operator's session cannot be opened.
+            agent.transport.bus.BusError: the operator's session cannot be opened.
         """
         robots = self._checks.robots
         if robots:

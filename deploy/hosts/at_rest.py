@@ -7,8 +7,8 @@ from contextlib import ExitStack, suppress
 from typing import Final, NamedTuple
 
 from agent.fleet.model import Fleet
-from agent.runtime.bus import BusError
 from agent.supervision.state_machine import DRIVING_NAMES, State
+from agent.transport.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.console.wording import robots as robots_words
 from deploy.hosts import systemd_units

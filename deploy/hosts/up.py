@@ -20,9 +20,9 @@ from agent.fleet.model import Fleet
 from agent.messages.codec import encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Resume, Stop
-from agent.runtime.bus import BusError
 from agent.runtime.order_store import packed
 from agent.supervision.state_machine import DRIVING_NAMES
+from agent.transport.bus import BusError
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
 from deploy.console.wording import some
@@ -136,7 +136,7 @@ class BringUp:
         """Brings all up; what became of each host and robot is in `rows` then.
 
         Raises:
-            agent.runtime.bus.BusError: the operator's session cannot be opened.
+            agent.transport.bus.BusError: the operator's session cannot be opened.
         """
         arrivals = self._open(view, interrupt)
         if arrivals is None:

@@ -51,8 +51,8 @@ def handled(command: Command) -> Command:
 
     def run(options: argparse.Namespace) -> int:
         # Here: opening the bus takes its time, and most commands do not.
-        from agent.runtime.bus import BusError
         from agent.runtime.runtime_folder import NotPrivateError
+        from agent.transport.bus import BusError
         from deploy.inventory.known_fleets import NotRunningError
 
         try:

@@ -22,7 +22,7 @@ class FaultsSession(Session):
         epoch_ns: the mission's, as the plants' messages tell it; None until one has.
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:

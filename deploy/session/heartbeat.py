@@ -23,7 +23,7 @@ class HeartbeatSession(Session):
     """A session that sends heartbeats.
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -75,7 +75,7 @@ def beat(fleet: Fleet, interrupt: Interrupt, stream: TextIO) -> None:
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there.
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(HeartbeatSession(fleet), interrupt) as session:
         session.beat(interrupt, stream)

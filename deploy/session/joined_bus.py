@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Protocol
 
-from agent.runtime.bus import Bus
+from agent.transport.bus import Bus
 
 
 class Watch(Protocol):
-    """Who is there, as `agent.runtime.bus.Presence` and `JoinedPresence` tell it."""
+    """Who is there, as `agent.transport.bus.Presence` and `JoinedPresence` tell it."""
 
     @property
     def alive(self) -> set[str]: ...
@@ -112,7 +112,7 @@ class JoinedPresence:
         return {key for key, part in self._on.items() if part == self._now}
 
     def update(self) -> list[tuple[str, bool]]:
-        """As `agent.runtime.bus.Presence.update`."""
+        """As `agent.transport.bus.Presence.update`."""
         changes: list[tuple[str, bool]] = []
         for number, part in enumerate(self._parts):
             for key, here in part.update():

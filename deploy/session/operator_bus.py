@@ -10,11 +10,11 @@ from typing import Final
 
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
-from agent.runtime.bus import Bus, BusError
-from agent.runtime.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError, NotValidNowError
 from agent.security.identity import Identity, IdentityError, of_operator
 from agent.security.refusals import ANOTHER_AUTHORITY
+from agent.transport.bus import Bus, BusError
+from agent.transport.sealed_bus import bus_for
 from deploy.console.arguments import InputError
 from deploy.faults.live import receivers
 from deploy.inventory.operator_credentials import OPERATOR, earlier_folders, keys_folder, operator_name
@@ -37,10 +37,10 @@ def operator_bus(
         whenever: tries it with a certificate that is not valid now, too, and says so: this machine's clock
             may be wrong.
         is_wanted: asked again and again until a router answers, which is given up where it is not wanted any
-            more. The process has to end as `handfast` does then (`agent.runtime.bus.is_opening`).
+            more. The process has to end as `handfast` does then (`agent.transport.bus.is_opening`).
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened, or is not wanted any more.
+        agent.transport.bus.BusError: the bus cannot be opened, or is not wanted any more.
         InputError: the fleet is secured, and this operator has no certificate that is valid.
     """
     connect = [

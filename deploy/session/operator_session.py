@@ -35,7 +35,7 @@ class OperatorSession(Session):
         heard: robots whose agents have said something.
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:

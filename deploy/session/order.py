@@ -25,7 +25,7 @@ class OrderSession(OperatorSession):
     """A session that changes the mission.
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     _answers = 0

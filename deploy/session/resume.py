@@ -19,7 +19,7 @@ class ResumeSession(OperatorSession):
     """A session that hears whether robots drive.
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -67,7 +67,7 @@ def resume(fleet: Fleet, robots: Sequence[int], given_ns: int) -> tuple[Resuming
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there.
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(ResumeSession(fleet)) as session:
         return session.resume(robots, given_ns), session.operator

@@ -48,7 +48,7 @@ class Session:
         alive: those that are there.
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened.
+        agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet, bus: OperatorBus | None = None) -> None:

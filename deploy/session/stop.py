@@ -15,7 +15,7 @@ from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Message, Mission, Stop
-from agent.runtime.bus import BusError
+from agent.transport.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.stop_outcome import Stopping
@@ -61,7 +61,7 @@ class StopSession(Session):
         is_wanted: as of an `operator_bus`.
 
     Raises:
-        agent.runtime.bus.BusError: the bus cannot be opened, or is not wanted any more.
+        agent.transport.bus.BusError: the bus cannot be opened, or is not wanted any more.
         deploy.console.arguments.InputError: nor can it with this operator's certificate.
     """
 
@@ -126,7 +126,7 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there, by any way.
-        agent.runtime.bus.BusError: there is no other way, and the bus cannot be opened.
+        agent.transport.bus.BusError: there is no other way, and the bus cannot be opened.
         deploy.console.arguments.InputError: nor can it with this operator's certificate, and nobody is heard
             by any other way.
     """

@@ -29,8 +29,8 @@ import tomli_w
 from agent.admission.tls_records import APPLICATION_DATA, HANDSHAKE, PROVEN_RECORDS
 from agent.fleet.loading import to_dict
 from agent.messages import key_expressions
-from agent.runtime.bus import Bus
 from agent.security.identity import of_robot
+from agent.transport.bus import Bus
 from deploy.hosts.nftables import ruleset
 from tests.benchmarks.figures import Figure, Options, Result, number, spread, table
 from tests.benchmarks.processes import BenchmarkError, cpu_s, environment

@@ -4,7 +4,7 @@ All arms have the same processes, links, keys, message sizes (those that the age
 wake-ups and inboxes, and the same observer listens to them; only robots that are near without being
 neighbours are listened to by ours alone. They take turns, so that what else the machine does falls on all.
 The target is against Zenoh as it comes. The third arm, the bare program with our own setting of Zenoh's
-threads (`agent.runtime.bus.RUNTIME`), shows what is left as the cost of Python, decoding and the law.
+threads (`agent.transport.bus.RUNTIME`), shows what is left as the cost of Python, decoding and the law.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.node import Node
-from agent.runtime import bus
+from agent.transport import bus
 from deploy.console.arguments import fleet_path
 from plant.node import PlantNode
 from plant.unicycle import from_fleet

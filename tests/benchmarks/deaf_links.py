@@ -5,7 +5,7 @@ busy loops; every link carries ten messages a second each way. All are judged at
 last of them has opened its bus, and none ends before all were. A direction is deaf where nothing has come for
 1.5 s over a link that stands; one whose link is not there is counted beside it. Zenoh's own limit for opening
 a link is set so short that it runs out between the start of sending and that of reading
-(`agent.runtime.link_watch`): without the watch, with it, and as robots have it.
+(`agent.transport.link_watch`): without the watch, with it, and as robots have it.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from contextlib import ExitStack
 from typing import Any, Final, NamedTuple
 
 from agent.common.time import NS_PER_S
-from agent.runtime import bus as robots_bus
-from agent.runtime.bus import Bus
-from agent.runtime.link_watch import PERIOD_NS, LinkWatch
-from agent.runtime.tcp_linger import Lingering
-from agent.runtime.tcp_sockets import TcpSockets
+from agent.transport import bus as robots_bus
+from agent.transport.bus import Bus
+from agent.transport.link_watch import PERIOD_NS, LinkWatch
+from agent.transport.tcp_linger import Lingering
+from agent.transport.tcp_sockets import TcpSockets
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.processes import BenchmarkError, environment
 

@@ -29,8 +29,8 @@ from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Status
-from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
+from agent.transport.bus import Bus
 from deploy.processes.placement import place
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks.processes import ROLES, BenchmarkError, Group, cpu_s, start_routers

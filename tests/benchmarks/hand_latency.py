@@ -21,10 +21,10 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import HandState
 from agent.messages.validation import Malformed
-from agent.runtime.bus import RUNTIME, settings_of
-from agent.runtime.sealed_bus import secured
 from agent.security.credentials import load
 from agent.security.identity import MAIN, of_operator
+from agent.transport.bus import RUNTIME, settings_of
+from agent.transport.sealed_bus import secured
 from deploy.inventory.operator_credentials import keys_folder
 
 SETTLE_S: Final = 1.0

@@ -32,8 +32,8 @@ from agent.links.wire_size import (
     ZENOH_BYTES,
 )
 from agent.messages import key_expressions
-from agent.runtime.bus import Bus
 from agent.security.access_control import Security
+from agent.transport.bus import Bus
 from deploy.check.radio_load import RadioLoad, radio_loads
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.processes import BenchmarkError, NotHereError, end, environment, handfast

@@ -26,7 +26,7 @@ import zenoh
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet, to_dict
 from agent.formation.geometry import resolved
-from agent.runtime import bus as robots_bus
+from agent.transport import bus as robots_bus
 from deploy.analysis.lattice import edges, lattice, places
 from deploy.processes.placement import place
 from tests.benchmarks.figures import number, table

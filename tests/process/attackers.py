@@ -42,10 +42,10 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.runtime.bus import PAYLOAD_BYTES_MAX, settings_of
 from agent.security.access_control import tls_settings
 from agent.security.credentials import Credentials, Files, load
 from agent.security.sealed_order import DOMAIN, VERSION
+from agent.transport.bus import PAYLOAD_BYTES_MAX, settings_of
 from tests.process.harness import wait_for
 from tests.process.secured_fleet import TAKEN, Keys
 

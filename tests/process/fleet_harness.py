@@ -23,7 +23,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Message, Mission, PlantState, Status, Wrench
 from agent.messages.validation import Malformed
-from agent.runtime.bus import Bus, Presence
+from agent.transport.bus import Bus, Presence
 from deploy.console.data_files import FLEETS
 from deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, Command, environment, last_lines, wait_for

@@ -19,12 +19,12 @@ from typing import Any
 
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
-from agent.runtime.bus import Bus, Presence, Router, init_log
-from agent.runtime.sealed_bus import SealedBus, secured
-from agent.runtime.zenoh_log import ZenohLog
 from agent.security.credentials import load
 from agent.security.identity import Identity, parse
 from agent.security.refusals import FILTER
+from agent.transport.bus import Bus, Presence, Router, init_log
+from agent.transport.sealed_bus import SealedBus, secured
+from agent.transport.zenoh_log import ZenohLog
 from tests.process.fleet_harness import make_fleet
 from tests.trusted import FLEET
 

@@ -16,11 +16,11 @@ from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
-from agent.runtime.bus import Bus
-from agent.runtime.sealed_bus import gate_of
 from agent.security.access_control import Security
 from agent.security.credentials import Files, load
 from agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
+from agent.transport.bus import Bus
+from agent.transport.sealed_bus import gate_of
 from deploy.inventory.certificate_authority import Authority
 from tests.process.fleet_harness import ROUTER, Robots, placed
 from tests.process.harness import ADDRESS

@@ -16,7 +16,7 @@ import zenoh
 
 from agent.__main__ import start
 from agent.runtime import process
-from agent.runtime.bus import Bus
+from agent.transport.bus import Bus
 
 
 def main() -> int:

@@ -43,7 +43,7 @@ from agent.messages.types import (
     Wrench,
 )
 from agent.messages.validation import Malformed
-from agent.runtime.bus import Bus, BusError, Router
+from agent.transport.bus import Bus, BusError, Router
 from tests.process.fleet_harness import ROUTED, Robots, make_fleet, placed, robots
 from tests.process.harness import (
     ADDRESS,

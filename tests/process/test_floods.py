@@ -8,9 +8,9 @@ from pathlib import Path
 
 from agent.messages.codec import encode
 from agent.messages.types import PlantState, Stop
-from agent.runtime.listening_gate import EACH, WAITING
 from agent.runtime.order_store import STOP_FILE, packed
 from agent.security.private_files import write
+from agent.transport.listening_gate import EACH, WAITING
 from tests.process import attackers
 from tests.process.flooding import flooding, targets_of
 from tests.process.harness import measured

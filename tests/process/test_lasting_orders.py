@@ -12,8 +12,8 @@ import pytest
 from agent.common.time import NS_PER_S
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import PlantState
-from agent.runtime.bus import BusError
 from agent.supervision.situation import NOT_SAID
+from agent.transport.bus import BusError
 from deploy.inventory.running import NoAnswerError
 from deploy.session import stop as stop_module
 from deploy.session.resume import resume

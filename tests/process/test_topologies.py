@@ -17,7 +17,7 @@ from agent.messages import key_expressions
 from agent.messages.batch import unpacked
 from agent.messages.codec import encode
 from agent.messages.types import PlantState, Status, Stop
-from agent.runtime.bus import Bus, Router
+from agent.transport.bus import Bus, Router
 from tests.process import attackers
 from tests.process.fleet_harness import ROUTED, ROUTER, Robots, all_ready, placed
 from tests.process.harness import (

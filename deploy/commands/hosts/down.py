@@ -61,7 +61,7 @@ def _down(options: argparse.Namespace) -> int:
 
 def _brake(fleet: Fleet, view: HostsView) -> None:
     """Stops all robots at once, before their processes end one by one."""
-    from agent.runtime.bus import BusError
+    from agent.transport.bus import BusError
     from deploy.session.live_operators import LiveWay
     from deploy.session.stop import stop
 

@@ -43,9 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _router(options: argparse.Namespace) -> int:
-    from agent.runtime.bus import settings_of
     from agent.runtime.router import others, serve
     from agent.runtime.systemd_notify import SystemdNotifier
+    from agent.transport.bus import settings_of
 
     interrupt = Interrupt()
     with interrupt.caught():

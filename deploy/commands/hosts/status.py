@@ -138,7 +138,7 @@ class Ears:
         self.statuses: Mapping[int, Status] = {}
 
     def __enter__(self) -> Ears:
-        from agent.runtime.bus import BusError
+        from agent.transport.bus import BusError
         from deploy.session.operator_session import OperatorSession
 
         try:

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _preflight(options: argparse.Namespace) -> int:
-    from agent.runtime.bus import BusError
+    from agent.transport.bus import BusError
     from deploy.drive.preflight import Preflight, passed, show, to_json
     from deploy.processes.placement import place
 

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from agent.runtime.bus import BusError
+    from agent.transport.bus import BusError
     from deploy.drive.live_view import make_view
     from deploy.drive.local import LocalRun
     from deploy.processes.placement import place

@@ -159,7 +159,7 @@ def _attend(
     options: argparse.Namespace, fleet: Fleet, driven: Fleet, folder: RunFolder, interrupt: Interrupt
 ) -> int:
     """Drives it to the end, and reports."""
-    from agent.runtime.bus import BusError
+    from agent.transport.bus import BusError
     from deploy.commands.running.ways import by_ssh
     from deploy.drive.attached import Attached
     from deploy.drive.drive import Drive

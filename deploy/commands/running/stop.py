@@ -95,7 +95,7 @@ def _outcome(fleet: Fleet, options: argparse.Namespace) -> tuple[list[str], bool
 
 def _stop_all(fleets: list[KnownFleet], options: argparse.Namespace) -> int:
     """Stops them side by side, so that none waits for another, and says of each what came of it."""
-    from agent.runtime.bus import BusError
+    from agent.transport.bus import BusError
     from deploy.inventory.known_fleets import NotRunningError
 
     def one(fleet: KnownFleet) -> tuple[list[str], bool]:

@@ -16,9 +16,9 @@ from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission
-from agent.runtime.bus import Bus, BusError
 from agent.runtime.clock import RealClock
 from agent.runtime.process import StartError
+from agent.transport.bus import Bus, BusError
 from deploy.console.data_files import FLEETS
 from deploy.processes.ports import Reservation
 from plant import server

@@ -14,7 +14,7 @@ from agent.links.wire_size import (
     joined_bytes,
     keep_alive_bytes,
 )
-from agent.runtime.bus import KEEP_ALIVES, LEASE_MS
+from agent.transport.bus import KEEP_ALIVES, LEASE_MS
 
 
 def test_a_message_has_what_zenoh_tls_tcp_and_ip_put_around_it() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agent.messages.batch import EACH_MAX, packed, unpacked
 from agent.messages.types import BYTES_MAX
 from agent.messages.validation import Malformed
-from agent.runtime.bus import PAYLOAD_BYTES_MAX
+from agent.transport.bus import PAYLOAD_BYTES_MAX
 
 Said = list[tuple[int, bytes]]
 

@@ -17,7 +17,7 @@ from agent.recorder import __main__
 from agent.recorder.recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS, RobotRecorder, known_orders
 from agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
 from agent.recorder.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Block, Received, Segment
-from agent.runtime.bus import BusError
+from agent.transport.bus import BusError
 from deploy.console.data_files import FLEETS
 
 BEGUN_NS = 1_763_600_000_000_000_000

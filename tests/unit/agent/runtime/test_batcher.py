@@ -13,7 +13,7 @@ from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.batch import EACH_MAX, unpacked
 from agent.runtime.batcher import AT, LATE_AT, Batcher
-from agent.runtime.batches import SAID_NS
+from agent.transport.batches import SAID_NS
 
 NAME = "many"
 T0 = 10**18

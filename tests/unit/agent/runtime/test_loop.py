@@ -14,10 +14,10 @@ from agent.fleet.loading import digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.node import Node
-from agent.runtime.bus import Bus
 from agent.runtime.loop import ROUTER_PAUSE_NS, OrderKeeper, Shutdown, look_at_links, loop
 from agent.runtime.process import names_of
 from agent.runtime.systemd_notify import SystemdNotifier
+from agent.transport.bus import Bus
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 

@@ -11,9 +11,9 @@ import msgpack
 from agent.messages.codec import VERSION, encode
 from agent.messages.types import Stop
 from agent.node import Node
-from agent.runtime.bus import Bus
 from agent.runtime.loop import OrderKeeper
 from agent.runtime.order_store import OrderStore, packed
+from agent.transport.bus import Bus
 from tests.wire import sealed
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from agent.__main__ import start
 from agent.runtime import process
-from agent.runtime.bus import BusError
 from agent.security.credentials import CredentialsError, NotValidNowError
+from agent.transport.bus import BusError
 from tests.unit.agent.runtime.test_systemd_notify import all_of
 
 FLEET = """

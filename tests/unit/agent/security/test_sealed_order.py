@@ -75,7 +75,7 @@ def test_what_an_operator_sealed_opens(ann: Credentials, opener: Opener) -> None
 
 
 def test_the_largest_seal_passes_the_bus() -> None:
-    from agent.runtime.bus import PAYLOAD_BYTES_MAX
+    from agent.transport.bus import PAYLOAD_BYTES_MAX
 
     assert SEALED_BYTES_MAX <= PAYLOAD_BYTES_MAX
 

@@ -9,7 +9,7 @@ from typing import Any
 import zenoh
 
 from agent.messages import key_expressions
-from agent.runtime.bus import PRESENCE_SIZE, Presence
+from agent.transport.bus import PRESENCE_SIZE, Presence
 
 
 class Subscriber:

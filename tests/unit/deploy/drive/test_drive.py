@@ -20,7 +20,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
-from agent.runtime.bus import Bus
+from agent.transport.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.drive.attached import Attached
 from deploy.drive.drive import SHOW_FIRST_NS, SHOW_PERIOD_NS, Drive

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.bus import BusError
+from agent.transport.bus import BusError
 from deploy.hosts import at_rest
 from deploy.hosts.at_rest import Rest, rest_of
 from deploy.hosts.connection import HostError

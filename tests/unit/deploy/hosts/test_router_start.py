@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent.runtime.bus import BusError
+from agent.transport.bus import BusError
 from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
 from deploy.hosts.bundle import Bundle

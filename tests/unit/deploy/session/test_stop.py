@@ -11,7 +11,7 @@ import pytest
 from agent.fleet.loading import parse_fleet
 from agent.messages import key_expressions
 from agent.messages.types import Resume, Status, Stop
-from agent.runtime.bus import BusError
+from agent.transport.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping

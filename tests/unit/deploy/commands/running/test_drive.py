@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.bus import BusError
 from agent.runtime.runtime_folder import NotPrivateError
 from agent.security.certificates import DAY_S
 from agent.security.identity import of_operator, of_robot
+from agent.transport.bus import BusError
 from deploy.cli import main
 from deploy.console.arguments import InputError
 from deploy.console.data_files import FLEETS

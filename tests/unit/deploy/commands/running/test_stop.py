@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.model import Fleet
-from agent.runtime.bus import BusError
+from agent.transport.bus import BusError
 from deploy.cli import main
 from deploy.console.data_files import FLEETS
 from deploy.inventory import registry

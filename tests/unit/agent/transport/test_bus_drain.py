@@ -11,8 +11,8 @@ import pytest
 import zenoh
 
 from agent.node import INBOX_SIZE
-from agent.runtime.bus import Bus
-from agent.runtime.link_watch import LinkWatch
+from agent.transport.bus import Bus
+from agent.transport.link_watch import LinkWatch
 
 SAMPLE = SimpleNamespace(key_expr="two/robot/7/hand", payload=SimpleNamespace(to_bytes=lambda: b"junk"))
 
@@ -29,7 +29,7 @@ def test_a_flood_costs_no_more_than_an_inbox_of_each_key(
     monkeypatch: pytest.MonkeyPatch, sizes: tuple[int, ...], total: int
 ):
     monkeypatch.setattr(zenoh, "open", lambda _config: Flooded())
-    monkeypatch.setattr("agent.runtime.bus._SESSIONS", [])  # it is none that has links
+    monkeypatch.setattr("agent.transport.bus._SESSIONS", [])  # it is none that has links
     bus = Bus(listen=[], connect=[])
     bus.subscribe("two/robot/2/hand", *sizes)
     bus.subscribe("two/**", *sizes)

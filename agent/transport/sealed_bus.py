@@ -14,15 +14,15 @@ from typing import Any
 
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
-from agent.runtime.batches import Batches
-from agent.runtime.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
-from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
 from agent.security.credentials import Credentials, load, load_whenever
 from agent.security.identity import Identity
 from agent.security.order_gate import OrderGate
 from agent.security.refusals import FILTER
 from agent.security.sealed_order import Opener, Sealer
+from agent.transport.batches import Batches
+from agent.transport.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
+from agent.transport.zenoh_log import ZenohLog
 
 Log = Callable[[str], None]
 
@@ -66,7 +66,7 @@ class SealedBus(Bus):
         bus: what else a `Bus` takes.
 
     Raises:
-        agent.runtime.bus.BusError: see `Bus`.
+        agent.transport.bus.BusError: see `Bus`.
         agent.security.credentials.CredentialsError: the files are not there, or not valid.
     """
 

@@ -9,7 +9,7 @@ stands, and is never read from. Measured, with 0.3 s and two cores that are busy
 links dead for good, always at the side that had opened the link; with 15 ms 241 of 400.
 
 A deaf link, whatever has made it one: bytes wait, nobody reads them, and yet this process sends on it, as it
-does `KEEP_ALIVES` times in a lease (`agent.runtime.bus`). So it runs, and has the link for one of its
+does `KEEP_ALIVES` times in a lease (`agent.transport.bus`). So it runs, and has the link for one of its
 own, which what knocks at its port is not. Where its threads have to wait for a processor, they read late from
 links with which nothing is wrong: the longer they wait, the later a link is deaf. A router of 200 robots on
 two cores had shut 78 of its links down in a start, and had to do their declarations again.
@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Final
 
 from agent.common.time import NS_PER_S
-from agent.runtime.run_delay import run_delay_ns
-from agent.runtime.tcp_sockets import TcpSocket, borrowed, held, info_of, waiting_on
+from agent.transport.run_delay import run_delay_ns
+from agent.transport.tcp_sockets import TcpSocket, borrowed, held, info_of, waiting_on
 
 PERIOD_NS: Final = NS_PER_S // 2
 """How often all links are looked at."""

@@ -11,9 +11,9 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
-from agent.runtime import bus, sealed_bus
-from agent.runtime.bus import LINK_TIMEOUT_S, OPEN_TIMEOUT_MS, Bus, BusError, Router, settings_of
-from agent.runtime.sealed_bus import bus_for
+from agent.transport import bus, sealed_bus
+from agent.transport.bus import LINK_TIMEOUT_S, OPEN_TIMEOUT_MS, Bus, BusError, Router, settings_of
+from agent.transport.sealed_bus import bus_for
 from deploy.console.arguments import fleet_path
 
 

@@ -22,7 +22,7 @@ from types import TracebackType
 from typing import Final
 
 from agent.common.time import NS_PER_S
-from agent.runtime.tcp_sockets import borrowed, lowest_free
+from agent.transport.tcp_sockets import borrowed, lowest_free
 
 WAITING: Final = 96
 """So many may wait, and for each robot of the fleet `EACH` more: all start together. Fewer would make it easy

@@ -12,12 +12,12 @@ import pytest
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Stop
-from agent.runtime import sealed_bus
-from agent.runtime.bus import Bus, BusError
-from agent.runtime.sealed_bus import SealedBus
 from agent.security.identity import MAIN, of_operator, of_robot
 from agent.security.refusals import Refusals
 from agent.security.sealed_order import Sealer
+from agent.transport import sealed_bus
+from agent.transport.bus import Bus, BusError
+from agent.transport.sealed_bus import SealedBus
 from tests.process.guarded import guarded_fleet
 from tests.trusted import FLEET, authority, credentials
 

@@ -24,11 +24,11 @@ from agent.common.time import NS_PER_S
 from agent.fleet.hosts import LEASE_MS
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import inbox_size
-from agent.runtime.batches import Batches
-from agent.runtime.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
-from agent.runtime.tcp_linger import Lingering
-from agent.runtime.tcp_sockets import Calm, TcpSockets
 from agent.security.access_control import Security
+from agent.transport.batches import Batches
+from agent.transport.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
+from agent.transport.tcp_linger import Lingering
+from agent.transport.tcp_sockets import Calm, TcpSockets
 
 Mode = Literal["peer", "client", "router"]
 
@@ -61,7 +61,7 @@ RETRY_MS: Final = (50, 150)
 """Shortest and longest pause between two attempts to connect."""
 OPEN_TIMEOUT_MS: Final = 10_000
 """Zenoh's own limit for opening a link, which may leave one that is never read from where it runs out
-(`agent.runtime.link_watch`, which is sooner): for what has no socket yet, as a name that is looked for."""
+(`agent.transport.link_watch`, which is sooner): for what has no socket yet, as a name that is looked for."""
 WHOLE_LOOK_NS: Final = 10 * NS_PER_S
 """So often links are looked at one by one though none seems to have changed."""
 FLUSH_S: Final = 0.02

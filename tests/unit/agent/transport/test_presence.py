@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.runtime.presence import KEPT, Watches
+from agent.transport.presence import KEPT, Watches
 
 
 class Presences:

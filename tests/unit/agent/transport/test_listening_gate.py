@@ -11,7 +11,7 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.runtime.listening_gate import EACH, OPENED_MIN, WAITING, Gate
+from agent.transport.listening_gate import EACH, OPENED_MIN, WAITING, Gate
 
 MOST = WAITING + 2 * EACH
 PLENTY = 1000

@@ -1,4 +1,4 @@
-"""agent.runtime.link_watch: which links it shuts down, of sockets that nobody else knows of."""
+"""agent.transport.link_watch: which links it shuts down, of sockets that nobody else knows of."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from contextlib import ExitStack
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.runtime.link_watch import DEAF_NS, PATIENCE_MAX, PAUSED_NS, PERIOD_NS, SOON_NS, LinkWatch
-from agent.runtime.tcp_sockets import TcpSockets
+from agent.transport.link_watch import DEAF_NS, PATIENCE_MAX, PAUSED_NS, PERIOD_NS, SOON_NS, LinkWatch
+from agent.transport.tcp_sockets import TcpSockets
 
 TIMEOUT_S = 0.4
 T0 = 1000 * NS_PER_S
