@@ -18,10 +18,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from agent.fleet.loading import load_fleet
 from deploy.analysis.lattice import lattice
+from deploy.check.capacity import cost_of
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
-from deploy.recording.run_files import METRICS_FILE
+from deploy.recording.run_files import FLEET_FILE, METRICS_FILE
 from tests.benchmarks.processes import cpu_s, descendants, end, environment, handfast, state_of
 
 PATIENCE_S: Final = 60.0
@@ -42,7 +44,9 @@ class Found:
 
     Attributes:
         alive_s, drive_s: from the command until all processes live, until the fleet drives.
-        cpu: by role, processor time of one process in a second of the drive; of `run` itself as "run".
+        cpu: by role, processor time in a second of the drive: of one agent and one body, of all routers
+            together, and of `run` itself as "run".
+        model: the same, as `deploy.check.capacity` has it for a processor like its own.
         killed: processes that did not end when asked.
         status: exit status of the command; below 0 when it had to be killed.
         metrics: its metrics.json; {} without.
@@ -54,6 +58,7 @@ class Found:
     alive_s: float = nan
     drive_s: float = nan
     cpu: dict[str, float] = field(default_factory=dict)
+    model: dict[str, float] = field(default_factory=dict)
     killed: int = 0
     status: int = -1
     metrics: Mapping[str, Any] = field(default_factory=dict)
@@ -212,12 +217,12 @@ def _wait(driving: threading.Event, process: subprocess.Popen[bytes], timeout_s:
 def _cost(
     before: Mapping[int, tuple[str, float]], after: Mapping[int, tuple[str, float]], took_s: float
 ) -> dict[str, float]:
-    """Processor time of one process of each role in a second."""
-    shares: dict[str, list[float]] = {}
+    """Processor time of all processes of each role in a second."""
+    shares: dict[str, float] = {}
     for pid, (role, used) in after.items():
         if pid in before:
-            shares.setdefault(role, []).append((used - before[pid][1]) / took_s)
-    return {role: sum(each) / len(each) for role, each in shares.items()}
+            shares[role] = shares.get(role, 0.0) + (used - before[pid][1]) / took_s
+    return shares
 
 
 def _judge(found: Found, out: Path) -> None:
@@ -225,6 +230,12 @@ def _judge(found: Found, out: Path) -> None:
     if not metrics.is_file():
         return
     found.metrics = json.loads(metrics.read_text(encoding="utf-8"))
+    robots = found.metrics["robots"]
+    for role in ("agent", "plant"):
+        if role in found.cpu:
+            found.cpu[role] /= robots
+    cost = cost_of(load_fleet(out / FLEET_FILE))
+    found.model = {"agent": cost.agent, "plant": cost.plant, "router": cost.routers, "run": cost.run}
     recording = recorded(out)
     if recording is None:
         return

@@ -70,7 +70,7 @@ ROUTED: Final = (25, 50, 100, 200, 400, 800)
 ROUTED_QUICK: Final = (50, 200)
 HEADING: Final = (
     "fleet", "alive s", "drives s", "missed %", "tick p99 ms", "settled", "deaf", "anew", "not ended", "exit",
-    "agent", "plant", "router", "run ms/s", "load",
+    "agent / model", "plant / model", "routers / model", "run / model, ms/s", "load",
 )  # fmt: skip
 
 
@@ -88,9 +88,14 @@ def row(name: str, found: Found) -> list[str]:
         str(found.opened_anew),
         str(found.killed),
         str(found.status),
-        *(number(1000.0 * found.cpu.get(role, nan)) for role in ("agent", "plant", "router", "run")),
+        *(_against_model(found, role) for role in ("agent", "plant", "router", "run")),
         number(found.load),
     ]
+
+
+def _against_model(found: Found, role: str) -> str:
+    """What a role took, and by the model of `handfast check`, ms/s."""
+    return f"{number(1000.0 * found.cpu.get(role, nan))} / {number(1000.0 * found.model.get(role, nan))}"
 
 
 def is_good(found: Found) -> bool:
