@@ -35,6 +35,8 @@ from deploy.verdict.violations import REACTION_S, is_constant, windows
 
 LONG_S: Final = 10.0
 """Who was off its place for longer than this in mid-drive fell behind."""
+CAUSES_MAX: Final = 8
+"""So many causes are told one by one."""
 FIRST_S: Final = 5.0
 """A course may begin at full speed: who is off its place from so early on has not been there yet."""
 _DROVE: Final = DRIVING_NAMES | {State.STOPPING.value, State.STOPPED.value}
@@ -185,7 +187,10 @@ class Tracking:
                 distance_m = float(self._distances[row, index])
                 found.setdefault(why, []).append(_Behind(distance_m, robot, start_s, end_s, worst_s))
         out = []
-        for why, each in found.items():
+        groups = list(found.items())
+        if len(groups) > CAUSES_MAX:
+            groups.sort(key=lambda item: max(item[1]), reverse=True)
+        for why, each in groups[:CAUSES_MAX]:
             worst = max(each)
             others = sorted({other.robot for other in each} - {worst.robot})
             more = f" (so did {robots(others)})" if others else ""
@@ -194,6 +199,8 @@ class Tracking:
                 f"Robot {worst.robot} was off its place from {worst.start_s:.1f} s to {worst.end_s:.1f} s, "
                 f"by up to {worst.distance_m:.2f} m at {worst.worst_s:.1f} s{more}{text}."
             )
+        if rest := sorted({behind.robot for _, each in groups[CAUSES_MAX:] for behind in each}):
+            out.append(f"So it was with {robots(rest)}, which were off by less, for reasons like these.")
         return out
 
     @property
@@ -225,10 +232,17 @@ class Tracking:
 
 
 def _by_cause(found: Sequence[Off]) -> list[tuple[tuple[str, ...], list[Off]]]:
+    """Those with the same causes together. Of many causes the rest are one: as of a machine that is too slow,
+    where each of two hundred robots gives another reason."""
     groups: dict[tuple[str, ...], list[Off]] = {}
     for off in found:
         groups.setdefault(off.causes, []).append(off)
-    return list(groups.items())
+    if len(groups) <= CAUSES_MAX:
+        return list(groups.items())
+    by_worst = sorted(groups.items(), key=lambda each: max(off.distance_m for off in each[1]), reverse=True)
+    rest = [off for _, each in by_worst[CAUSES_MAX - 1 :] for off in each]
+    more = f"for {len(groups) - CAUSES_MAX + 1} more reasons like these"
+    return [*by_worst[: CAUSES_MAX - 1], ((more,), sorted(rest, key=lambda off: off.index))]
 
 
 def _stretches(flags: Flags) -> list[tuple[int, int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -43,7 +44,7 @@ def run(fleet: Fleet, lag: Any, state: str = "running", told: dict[str, Any] | N
 
 def verdict(recording: Recording) -> tuple[list[str], list[str]]:
     result = RunResult(recording)
-    return list(result.reasons), [each for each in result.warnings if "place" in each]
+    return list(result.reasons), [each for each in result.warnings if "place" in each or "So it was" in each]
 
 
 def test_a_fleet_in_formation_far_behind_its_course_fails() -> None:
@@ -83,6 +84,39 @@ def test_what_it_says_itself_is_the_cause() -> None:
     told = {"state": "degraded", "reason": "held up by robot 6 (silent for 75 s)"}
     (reason,), _ = verdict(run(pair(), lambda t: 0.6, told=told))
     assert reason.endswith("allowed: held up by robot 6 (silent for 75 s).")
+
+
+def crowd(lag: Callable[[int, float], float], end_s: float = 60.0) -> Recording:
+    """Twenty robots in a row, `lag(robot, t)` m south of their places, each with a reason of its own."""
+    places = [(float(k), 0.0) for k in range(20)]
+    fleet = make_fleet(places, [(k, k + 1) for k in range(1, 20)], duration_s=end_s, rate_hz=10.0)
+    ways = [
+        body(lambda t, k=k, x=x: (x, -lag(k, max(t, 0.0)), 0.0), 0.1) for k, (x, _) in enumerate(places, 1)
+    ]
+
+    def said(message: Message) -> Message:
+        return message._replace(reason=f"late by {message.robot} ms") if type(message) is Status else message
+
+    return recorded(fleet, [(received, key, said(each)) for received, key, each in messages(fleet, ways)])
+
+
+def test_of_many_reasons_those_of_who_is_farthest_off_are_told() -> None:
+    """As of a machine that is too slow for two hundred robots: the others are one sentence."""
+    reasons, _ = verdict(crowd(lambda robot, t: 0.5 + 0.1 * robot))
+    told = [each for each in reasons if "from its place" in each or "from their places" in each]
+    assert [each.partition(" was ")[0] for each in told[:-1]] == [f"Robot {k}" for k in range(20, 13, -1)]
+    assert told[0].endswith(": late by 20 ms.")
+    assert told[-1].startswith("13 robots (1-13) were up to 1.80 m (robot 13) from their places at the end ")
+    assert told[-1].endswith(" m is allowed: for 13 more reasons like these.")
+
+
+def test_of_many_that_fell_behind_those_that_were_farthest_off_are_told() -> None:
+    _, warnings = verdict(crowd(lambda robot, t: 0.5 + 0.1 * robot if 15.0 < t < 30.0 else 0.0))
+    told = [each for each in warnings if "off its place from" in each]
+    assert [each.partition(" was ")[0] for each in told] == [f"Robot {k}" for k in range(20, 12, -1)]
+    assert warnings[-1] == (
+        "So it was with 12 robots (1-12), which were off by less, for reasons like these."
+    )
 
 
 def test_a_drive_that_is_too_short_to_get_there_warns() -> None:
