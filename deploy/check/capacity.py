@@ -21,14 +21,14 @@ from deploy.check.sharing import sharing
 
 ROBOTS_MIN: Final = 13
 """Smaller fleets are not looked at: they fit."""
-AGENT_S: Final = 4.2e-3
-AGENT_TICK_S: Final = 0.36e-3
-MESH_TICK_S: Final = 0.35e-3
+AGENT_S: Final = 3.6e-3
+AGENT_TICK_S: Final = 0.44e-3
+MESH_TICK_S: Final = 0.27e-3
 AGENT_MESSAGE_S: Final = 38e-6
 PLANT_TICK_S: Final = 0.34e-3
-SHARED_TICK_S: Final = 0.08e-3
-BATCHED_S: Final = 8e-6
-ROUTER_MESSAGE_S: Final = 15e-6
+SHARED_TICK_S: Final = 0.09e-3
+BATCHED_S: Final = 10e-6
+ROUTER_MESSAGE_S: Final = 19e-6
 RECORDED_S: Final = 70e-6
 """Processor time, s, Zenoh's part in it. Of an agent for a second at any rate (it looks who is near, tells
 its status, keeps its links alive), for a round of its loop, so much more where it says what it says to each
