@@ -455,7 +455,7 @@ class Agent:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
             situation.numbers = f"the law gave force {drive.force} N and torque {drive.torque} N m"
             return self._brake(now_ns)
-        controller.sent(now_ns, drive.force, drive.torque)
+        controller.sent(now_ns, (drive.force, drive.torque))
         if self._event is not None and self._is_mistaken(now_ns):
             self._event.missed()
         self._report.intervened(drive.causes)
@@ -481,7 +481,7 @@ class Agent:
         )
 
     def _brake(self, now_ns: int) -> list[Outgoing]:
-        self._controller.sent(now_ns, 0.0, 0.0)  # how hard the plant brakes is its own affair
+        self._controller.sent(now_ns, None)
         out = [self._outbox.wrench(now_ns, brake=True)]
         shown, doubt = self._own_hand.shown, self._own_hand.doubt
         if shown is not None:

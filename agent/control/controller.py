@@ -22,7 +22,7 @@ from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
 from agent.control.gains import gains_of
 from agent.control.peers.peer import Peer
 from agent.control.peers.peers import Peers
-from agent.control.peers.prediction import constraint_decay
+from agent.control.peers.prediction import BRAKING_TIME_S, constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import (
@@ -158,7 +158,7 @@ class Controller:
         self._turn_quickest = TURN_SHARE * NS_PER_S / fleet.period_ns
         self._force_max, self._torque_max = body.max_force_n, body.max_torque_nm
         # Wrenches by the plant tick that takes them: as many as the oldest state to drive by can lack.
-        self._sent: dict[int, tuple[float, float]] = {}
+        self._sent: dict[int, tuple[float, float] | None] = {}
         self._sent_max = ceil(control.plant_timeout_s * NS_PER_S / fleet.period_ns) + 2
         self._planned: Plan | None = None
         self.taken = ""
@@ -197,6 +197,11 @@ class Controller:
             self._own_law.restart()
         self._hold = NOTHING
         self.detour.reset()
+
+    @property
+    def held_s(self) -> float:
+        """For how long what it asks for is held, s."""
+        return self._held_ns / NS_PER_S
 
     def acts_from_ns(self, now_ns: int) -> int:
         """When a wrench that is sent now begins to act: at the plant's next tick."""
@@ -309,9 +314,9 @@ class Controller:
         """Own hand at a wall time after the plant's state, from what acts on the body until then."""
         return hand.hand(self._pose_at(plant, time_ns), self._reach)
 
-    def sent(self, now_ns: int, force: float, torque: float) -> None:
-        """Notes what the plant was asked for at the tick `now_ns` (N, N m); zero when it is to brake."""
-        self._sent[self.acts_from_ns(now_ns)] = force, torque
+    def sent(self, now_ns: int, wrench: tuple[float, float] | None) -> None:
+        """Notes what the plant was asked for at the tick `now_ns` (N, N m); None when it is to brake."""
+        self._sent[self.acts_from_ns(now_ns)] = wrench
         if len(self._sent) > self._sent_max:
             del self._sent[next(iter(self._sent))]
 
@@ -319,20 +324,26 @@ class Controller:
         """Own body at `time_ns`, from a plant state and what acts on the body since.
 
         A plant state that came late says nothing of the wrenches that the plant took after it:
-        those are the ones that were sent.
+        those are the ones that were sent. How hard a plant brakes is its own affair, and what it states then
+        is the force of that moment: held until `time_ns` it would drive a body backwards that stands by then.
         """
         pose = hand.Pose(plant.x, plant.y, plant.heading, plant.speed, plant.yaw_rate)
-        force, torque, since_ns = plant.force, plant.torque, plant.time_ns
+        acts = (plant.force, plant.torque) if plant.driving else None
+        since_ns = plant.time_ns
         boundary_ns = self.acts_from_ns(since_ns)
         while boundary_ns < time_ns:
-            sent = self._sent.get(boundary_ns)
-            if sent is not None:
-                dt = (boundary_ns - since_ns) / NS_PER_S
-                pose = hand.advance(pose, force, torque, self._mass, self._inertia, dt)
-                since_ns = boundary_ns
-                force, torque = sent
+            if boundary_ns in self._sent:
+                pose = self._moved(pose, acts, (boundary_ns - since_ns) / NS_PER_S)
+                since_ns, acts = boundary_ns, self._sent[boundary_ns]
             boundary_ns += self._period_ns
-        return hand.advance(pose, force, torque, self._mass, self._inertia, (time_ns - since_ns) / NS_PER_S)
+        return self._moved(pose, acts, (time_ns - since_ns) / NS_PER_S)
+
+    def _moved(self, pose: hand.Pose, acts: tuple[float, float] | None, dt: float) -> hand.Pose:
+        """The own body after `dt` seconds in which this force and torque act, None: in which it brakes."""
+        if acts is None:
+            return hand.braked(pose, BRAKING_TIME_S, dt)
+        force, torque = acts
+        return hand.advance(pose, force, torque, self._mass, self._inertia, dt)
 
     def _taken(self, now_ns: int, own: hand.Hand, motion: Sample) -> str:
         """Which body lies where the own place is, if that stands and is near: no way round leads there."""

@@ -5,7 +5,7 @@ Pure scalars: one robot has one body. Poses are in W (world ENU), heading counte
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, exp, sin
 from typing import NamedTuple
 
 
@@ -75,4 +75,22 @@ def advance(pose: Pose, force: float, torque: float, mass: float, inertia: float
         heading_end,
         speed_end,
         yaw_rate + spin * dt,
+    )
+
+
+def braked(pose: Pose, brake_time_s: float, dt: float) -> Pose:
+    """The body `dt` seconds later while it brakes: speed and yaw rate die away with a time constant, s, and
+    never turn round. It goes along the mean of its headings, which at rest is exact for a body that does not
+    turn, and short of that by less than a tenth of the way for one that turns by a radian until it stands.
+    """
+    remains = exp(-dt / brake_time_s)
+    way_s = brake_time_s * (1.0 - remains)
+    turn = pose.yaw_rate * way_s
+    heading = pose.heading + 0.5 * turn
+    return Pose(
+        pose.x + pose.speed * way_s * cos(heading),
+        pose.y + pose.speed * way_s * sin(heading),
+        pose.heading + turn,
+        remains * pose.speed,
+        remains * pose.yaw_rate,
     )

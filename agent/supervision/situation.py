@@ -25,6 +25,9 @@ UNHEEDED_S: Final = 1.0
 RUNAWAY: Final = 2.0
 RUNAWAY_MORE: Final = 0.2
 """A body that is so many times as fast as it may be, and so much (m/s) more, does not do what it is told."""
+SPIN_MAX: Final = 1.0
+"""rad: nor does one that turns further than this between two decisions, eight times as far as it is let: what
+is decided for one heading acts on another, and pushes it on."""
 
 
 class Situation:
@@ -79,7 +82,9 @@ class Situation:
         self._unheeded_s = UNHEEDED_S + fleet.control.wrench_timeout_s
         self._reach = fleet.robot(robot).hand_offset_m
         self._speed_max = fleet.control.max_speed_mps
-        self._runaway = RUNAWAY * self._speed_max + RUNAWAY_MORE if controller.proximity.enabled else inf
+        is_limited = controller.proximity.enabled
+        self._runaway = RUNAWAY * self._speed_max + RUNAWAY_MORE if is_limited else inf
+        self._spin_max = SPIN_MAX if is_limited else inf
 
     # ------------------------------------------------------------------ what happens
 
@@ -218,6 +223,9 @@ class Situation:
         speed = hypot(plant.speed, self._reach * plant.yaw_rate)
         if speed > self._runaway and plant.obeying:
             return f"its body runs away: {speed:.2f} m/s, control.max_speed_mps is {self._speed_max:g}"
+        held_s, spin = self._controller.held_s, abs(plant.yaw_rate)
+        if spin * held_s > self._spin_max and plant.obeying:
+            return f"its body spins: {spin:.1f} rad/s are too fast to be steered at {1.0 / held_s:g} Hz"
         return ""
 
     def _listening(self, now_ns: int) -> str:

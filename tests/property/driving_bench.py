@@ -79,7 +79,7 @@ class _Robot:
             peer.trust = 1.0 if peer.message is not None else 0.0
         controller.proximity.look(now_ns, here, neighbours)
         drive = controller.drive(state, now_ns)
-        controller.sent(now_ns, drive.force, drive.torque)
+        controller.sent(now_ns, (drive.force, drive.torque))
         self.asked = drive.force, drive.torque
         multipliers = controller.coupling.shared()
         return HandState(robot, count, now_ns, True, drive.degree, *here, *drive.forces, 0.0, multipliers, ())

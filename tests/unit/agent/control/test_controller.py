@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from math import cos, sin, tau
+from math import cos, hypot, sin, tau
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from agent.control.controller import LOOK_PERIOD_NS, REST_PERIOD_NS, Controller
 from agent.control.hand import Pose, advance, hand, wrench
+from agent.control.peers.prediction import BRAKING_TIME_S
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.formation.geometry import resolve
 from agent.messages.types import NEIGHBOURS_MAX, HandState, PlantState
 from deploy.console.arguments import fleet_path
+from plant.backend import Command
+from plant.unicycle import from_fleet
 
 S = 1_000_000_000
 T0 = 1000 * S
@@ -42,7 +47,7 @@ def test_as_many_wrenches_are_remembered_as_the_oldest_plant_state_needs(rate_hz
     age_ns = round(timeout_s * S)
     now_ns = T0 + period_ns // 2 + age_ns // period_ns * period_ns - period_ns
     for tick_ns in range(T0 - 10 * period_ns + period_ns // 2, now_ns, period_ns):
-        controller.sent(tick_ns, 2.0 if tick_ns > T0 else 0.0, 0.0)
+        controller.sent(tick_ns, (2.0 if tick_ns > T0 else 0.0, 0.0))
     state = PlantState(1, 0, T0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.0, True, True, True, "")
     pushed_s = (now_ns - T0 - period_ns) / S  # the wrench of T0's round acts from the next on
     pose = advance(Pose(0.0, 0.0, 0.3, 0.1, 0.0), 0.0, 0.0, body.mass_kg, body.inertia_kgm2, period_ns / S)
@@ -50,6 +55,37 @@ def test_as_many_wrenches_are_remembered_as_the_oldest_plant_state_needs(rate_hz
     assert tuple(controller.hand_at(state, now_ns)) == pytest.approx(
         tuple(hand(pose, body.hand_offset_m)), abs=1e-9
     )
+
+
+@given(
+    st.floats(-1.5, 1.5),
+    st.floats(-4.0, 4.0),
+    st.integers(0, 9),
+    st.sampled_from((10, 20, 50)),
+    st.booleans(),
+)
+def test_a_body_that_brakes_is_carried_on_until_it_stands(
+    speed: float, yaw_rate: float, rounds: int, rate_hz: int, asked: bool
+) -> None:
+    """By itself, or as its agent asked: what it states of its brake's force is of one moment. Held on, it
+    would drive a body backwards that stands, and who believes that would push it forwards."""
+    fleet = load_fleet(fleet_path("delta"), [f"fleet.rate_hz={rate_hz}"])
+    controller, body, period_ns = Controller(fleet, resolve(fleet), 1), from_fleet(fleet, 1), fleet.period_ns
+    body._pose = Pose(0.0, 0.0, 0.4, speed, yaw_rate)
+    pose, force, torque, *_ = body.step(T0, Command(0.0, 0.0) if asked else None)[1:]
+    state = PlantState(1, 0, T0, *pose, force, torque, asked, True, True, "")
+    if asked:
+        controller.sent(T0, None)  # it acts a period later, until when it rolls on
+    before = speed, yaw_rate
+    for k in range(1, rounds + 1):
+        body.step(T0 + k * period_ns, None)
+        shown = controller._pose_at(state, T0 + k * period_ns)
+        for was, now in zip(before, shown[3:], strict=True):
+            assert 0.0 <= now * was <= was * was, "it slows down, and does not turn round"
+        before = shown.speed, shown.yaw_rate
+    stands = controller._pose_at(state, T0 + 5 * S)
+    assert max(map(abs, stands[3:])) < 1e-9
+    assert hypot(stands.x, stands.y) <= abs(speed) * (BRAKING_TIME_S + period_ns / S) + 1e-9
 
 
 def test_no_more_multipliers_are_told_than_a_message_holds():

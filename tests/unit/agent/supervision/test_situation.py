@@ -192,6 +192,18 @@ def test_a_body_that_runs_away_is_no_plant_to_drive() -> None:
     assert unfiltered.plant_trouble == ""
 
 
+@pytest.mark.parametrize(("level", "spins"), [(0, False), (3, True)])
+def test_a_body_that_turns_too_far_between_two_decisions_is_braked(level: int, spins: bool) -> None:
+    """What steers it at the full rate throws it about at a lower one."""
+    made, _ = driving()
+    made._controller.keep_pace(made._fleet.period_ns << level, 1.0)
+    state = plant(time_ns=NOW + 1, yaw_rate=-6.5)
+    assert made.accept_plant(state, NOW + 1) is None
+    made.check_plant(NOW + 1)
+    why = "its body spins: 6.5 rad/s are too fast to be steered at 6.25 Hz"
+    assert made.plant_trouble == (why if spins else "")
+
+
 def test_a_plant_that_hears_no_wrench_is_named() -> None:
     """It tells of itself, and brakes: the way to it is dead, the way back is not."""
     made, trust = driving()
