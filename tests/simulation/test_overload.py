@@ -4,6 +4,7 @@ back."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -226,3 +227,31 @@ def test_a_plant_that_died_while_its_agent_stood_is_found_to_be_gone() -> None:
     assert any(state == "fault" and reason.startswith("plant silent for") for state, reason in states)
     run.until(20.0)
     run.expect_safe(0.02)
+
+
+MOVING = """
+robot = [{ id = 1, x_m = 0.0, y_m = 0.0 }, { id = 2, x_m = 0.0, y_m = 1.0 }]
+fleet = { name = "delta", rate_hz = 10 }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [0, 1]], safe_distance_m = 0.22 }
+control = { plant_timeout_s = 0.45, wrench_timeout_s = 0.45, rate_min_hz = 5 }
+trajectory = { kind = "line", start_m = [0.1, 0.5], velocity_mps = [0.6, 0.0] }
+"""
+
+
+@pytest.mark.parametrize("at_s", [5.45, 5.51, 5.55, 5.61])
+def test_a_body_whose_plant_stands_while_it_brakes_is_not_told_to_go_backwards(at_s: float) -> None:
+    """Its agent stood, so that the plant brakes by itself, and stands in turn: all that is known of the body
+    is the force of its brake, until the plant goes on. Seen in a crowd: two robots 5 cm apart for that."""
+    run = Run(
+        'robot = 1\npause = "agent"\nat = 5.0\nfor = 0.76',
+        f'robot = 1\npause = "plant"\nat = {at_s}\nfor = 0.55',
+        duration_s=12.0,
+        of=MOVING,
+    ).until(8.0)
+    epoch_ns = run.simulation.epoch_ns
+    told = [
+        hand for hand in run.hands if hand.robot == 1 and 4.0 < (hand.time_ns - epoch_ns) / NS_PER_S < 7.0
+    ]
+    assert max(hand.vx for hand in told) > 0.5
+    assert min(hand.vx for hand in told) > -0.05, "it comes to rest"
+    assert all(after.x > before.x - 0.1 for before, after in pairwise(told)), "nor far from where it is found"
