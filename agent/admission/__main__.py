@@ -25,7 +25,7 @@ from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
-from agent.runtime.loop import Shutdown
+from agent.runtime.loop import Shutdown, add_parent_argument
 from agent.runtime.process import logger
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.private_files import KeyFileError, read, write
@@ -126,9 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     whose.add_argument("--robot", type=int, metavar="ID", help="id of the robot before which it stands")
     whose.add_argument("--router", type=int, metavar="K", help="or which router, from 1")
     parser.add_argument("--proven", type=Path, metavar="FILE", help="remembers there who had a certificate")
-    parser.add_argument(
-        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
-    )
+    add_parent_argument(parser)
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
     robot, router = options.robot, options.router

@@ -23,7 +23,7 @@ from agent.messages import key_expressions
 from agent.node import Node
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
-from agent.runtime.loop import A_ROUTER, Log, OrderKeeper, Shutdown, loop
+from agent.runtime.loop import A_ROUTER, Log, OrderKeeper, Shutdown, add_parent_argument, loop
 from agent.runtime.order_store import OrderStore
 from agent.runtime.preloaded import fleet_of, started
 from agent.runtime.systemd_notify import SystemdNotifier
@@ -101,9 +101,7 @@ def robot_arguments(
     parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
     parser.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot in that file")
     parser.add_argument("--keys", metavar="DIR", help="folder of the robot's key and certificates")
-    parser.add_argument(
-        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
-    )
+    add_parent_argument(parser)
     return parser
 
 

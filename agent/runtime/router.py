@@ -24,7 +24,7 @@ from agent.fleet.model import Fleet, FleetError
 from agent.messages.key_expressions import alive, robot_of_alive
 from agent.runtime.batcher import Batcher
 from agent.runtime.certificate_wait import wait_until_valid
-from agent.runtime.loop import DIALLED, Log, Shutdown
+from agent.runtime.loop import DIALLED, Log, Shutdown, add_parent_argument
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.access_control import Security
 from agent.security.credentials import CredentialsError, load
@@ -171,9 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
     parser.add_argument("--number", type=int, default=1, metavar="K", help="which router, from 1")
     parser.add_argument("--keys", type=Path, metavar="DIR", help="folder of its key and certificates")
-    parser.add_argument(
-        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
-    )
+    add_parent_argument(parser)
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
 

@@ -61,13 +61,14 @@ class Child:
     ) -> None:
         self.robot, self.role, self.log = robot, role, log
         self.name = name or name_of(robot, role)
-        arguments = [*arguments, "--exit-with-parent"]
+        ends_with = "--exit-with-parent"
         with open(log, "ab") as output:
             forked = None
             if server is not None:
-                forked = server.start(module, arguments, output.fileno(), for_many=for_many)
+                forked = server.start(module, [*arguments, ends_with], output.fileno(), for_many=for_many)
+            # Which may be gone before the other has come as far as to look who it is.
             self._process = forked or subprocess.Popen(
-                words_of(module, arguments),
+                words_of(module, [*arguments, f"{ends_with}={os.getpid()}"]),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,

@@ -254,4 +254,6 @@ def test_a_body_whose_plant_stands_while_it_brakes_is_not_told_to_go_backwards(a
     ]
     assert max(hand.vx for hand in told) > 0.5
     assert min(hand.vx for hand in told) > -0.05, "it comes to rest"
-    assert all(after.x > before.x - 0.15 for before, after in pairwise(told)), "nor far from where it is found"
+    assert all(after.x > before.x - 0.15 for before, after in pairwise(told)), (
+        "nor far from where it is found"
+    )

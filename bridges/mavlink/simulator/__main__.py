@@ -13,7 +13,7 @@ from typing import Final
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S, Clock
 from agent.runtime.clock import RealClock
-from agent.runtime.loop import LOOK_PERIOD_NS, Shutdown
+from agent.runtime.loop import LOOK_PERIOD_NS, Shutdown, add_parent_argument
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import (
@@ -142,9 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=0, help="of its errors and jitter (default: 0)")
     parser.add_argument("--type", choices=sorted(TYPES), default="rover", help="what it says it is")
-    parser.add_argument(
-        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
-    )
+    add_parent_argument(parser)
     return parser
 
 
