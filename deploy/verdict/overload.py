@@ -15,13 +15,15 @@ from deploy.verdict.standstills import Cause, Stall, Stand, machines, stalls, st
 
 SKIPPED_SHARE: Final = 0.05
 """So large a share of a robot's ticks is skipped where its machine, or the law of others, is named."""
+STALLS_MAX: Final = 3
+"""So many times in which one thing stood still are told one by one."""
 STOOD_SHARE: Final = 0.1
 """What stood still for so large a share of a drive is named before what failed."""
 
 
 def warnings(recording: Recording) -> list[str]:
     """Sentences that name what was too slow, or stood still: a machine, or some of its processes."""
-    out = [_stall_words(stall) for stall in stalls(recording)]
+    out = _all_stall_words(stalls(recording))
     slow = _too_late(recording)  # a law of others that is slow is named as such
     out += _stand_words([stand for stand in stood_alone(recording) if stand.robot not in slow])
     period_ms = 1e3 / recording.fleet.fleet.rate_hz
@@ -50,8 +52,23 @@ def _did(recording: Recording, slow: Mapping[int, Late], late: Sequence[int]) ->
     return " and ".join(did)
 
 
-def _stall_words(stall: Stall) -> str:
-    when = f"from {stall.start_s:.2f} s to {stall.end_s:.2f} s"
+def _all_stall_words(found: Sequence[Stall]) -> list[str]:
+    """A sentence for each time in which something stood still; one for many of one kind."""
+    kinds: dict[tuple[str, Cause], list[Stall]] = {}
+    for stall in found:
+        kinds.setdefault((stall.host, stall.cause), []).append(stall)
+    out = []
+    for alike in kinds.values():
+        if len(alike) <= STALLS_MAX:
+            out += [_stall_words(each, f"from {each.start_s:.2f} s to {each.end_s:.2f} s") for each in alike]
+            continue
+        whole_s, most_s = sum(each.lasts_s for each in alike), max(each.lasts_s for each in alike)
+        times = f"{len(alike)} times from {alike[0].start_s:.2f} s to {alike[-1].end_s:.2f} s"
+        out.append(_stall_words(alike[0], f"{times}, for up to {most_s:.1f} s and {whole_s:.1f} s together"))
+    return out
+
+
+def _stall_words(stall: Stall, when: str) -> str:
     if stall.cause is Cause.MACHINE:
         stood = f"{_name(stall.host)} stood still {when}: none of its robots sent a pose."
         return f"{stood} That is not the fleet's doing."

@@ -12,8 +12,9 @@ from agent.fleet.model import Fleet
 from agent.messages.types import Event, PlantState, Status
 from deploy.recording.recording import Recording
 from deploy.verdict.metrics import compute
-from deploy.verdict.overload import explains, late_robots, slowed_s, warnings
+from deploy.verdict.overload import _all_stall_words, explains, late_robots, slowed_s, warnings
 from deploy.verdict.run_result import RunResult
+from deploy.verdict.standstills import Cause, Stall
 from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.silent_run import ALL, OF_AGENTS, ROUTED, STOOD, UNHEARD, paused, silent
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages
@@ -248,3 +249,16 @@ def test_poses_that_a_slow_machine_lost_are_a_warning_where_nothing_can_have_hap
 def test_what_a_machine_that_stood_still_hides_may_be_what_it_broke() -> None:
     assert not RunResult(gap(1, 2, fleet=moving(1.0))).passed
     assert RunResult(gap(1, 2, fleet=moving(0.1))).passed
+
+
+def test_what_stood_many_times_is_one_sentence() -> None:
+    """As under busy loops beside it: not fifty that differ by their times."""
+    stands = [Stall("", 2.0 * k, 2.0 * k + 0.1 * k, Cause.MACHINE) for k in range(6, 12)]
+    router = Stall("", 30.0, 31.0, Cause.ROUTER)
+    many, one = _all_stall_words([*stands, router])
+    assert many == (
+        "The machine that ran the fleet stood still 6 times from 12.00 s to 23.10 s, for up to 1.1 s and 5.1 s "
+        "together: none of its robots sent a pose. That is not the fleet's doing."
+    )
+    assert one.startswith("No pose came of the robots from 30.00 s to 31.00 s: ")
+    assert len(_all_stall_words(stands[:3])) == 3
