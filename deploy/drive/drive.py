@@ -17,7 +17,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
 from deploy.console.interrupt import Interrupt
-from deploy.console.wording import robots
+from deploy.console.wording import robots, some
 from deploy.drive.fleet_state import FleetState, Record
 from deploy.drive.live_view import View
 from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, why
@@ -26,13 +26,15 @@ from deploy.drive.timing import Timing
 from deploy.faults.process_actions import WORDS, Action, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
-from deploy.processes.protocol import FleetProcesses
+from deploy.processes.protocol import Ended, FleetProcesses
 from deploy.session.joined_bus import OperatorBus
 from deploy.session.stop import Way
 
 POLL_S: Final = 0.04
 DEATHS_PERIOD_NS: Final = NS_PER_S // 10
 """How often is looked for processes that have ended: each is asked for."""
+DEATHS_MAX: Final = 3
+"""So many that ended in one way are told one by one."""
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
 SHOW_FIRST_NS: Final = NS_PER_S // 10
 """So long after a mission's begin all have told that they drive."""
@@ -302,15 +304,23 @@ class Drive:
         self._view.show(self._watch.picture(self._fleet_state.time_s))
 
     def _deaths(self) -> bool:
-        """Reports every child that has ended of its own; True when there was one."""
-        deaths = self._processes.deaths()
-        for child, how in deaths:
-            at = self._fleet_state.time_s
-            when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
-            self._fail(f"{child.name.capitalize()} ended {when} ({how}).")
-            for line in child.last_lines():
-                self._view.say(f"    {line}")
-        return bool(deaths)
+        """Reports every child that has ended of its own, many that ended alike as one; True when there was
+        one."""
+        at = self._fleet_state.time_s
+        when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
+        alike: dict[str, list[Ended]] = {}
+        for child, how in self._processes.deaths():
+            alike.setdefault(how, []).append(child)
+        for how, children in alike.items():
+            if len(children) > DEATHS_MAX:
+                names = some([child.name for child in children])
+                self._fail(f"{len(children)} processes ended {when} ({how}): {names}.")
+                continue
+            for child in children:
+                self._fail(f"{child.name.capitalize()} ended {when} ({how}).")
+                for line in child.last_lines():
+                    self._view.say(f"    {line}")
+        return bool(alike)
 
     def _fail(self, reason: str) -> None:
         self.reasons.append(reason)

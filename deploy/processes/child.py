@@ -87,7 +87,7 @@ class Child:
         if status is None:
             return None
         if status == UNSEEN:
-            return "with the process that had forked it"
+            return "by the end of the fork server"
         if status < 0:
             return f"killed by {signal.Signals(-status).name}"
         return f"exit status {status}"

@@ -231,7 +231,7 @@ def test_whoever_is_left_ends_with_the_server(server: ForkServer, tmp_path: Path
     os.kill(server.pid, signal.SIGKILL)
     for each in made:  # one of them is frozen: whose starter is gone is woken by the kernel
         wait_for(each.ended)
-        assert each.ended() == "with the process that had forked it"
+        assert each.ended() == "by the end of the fork server"
         each.kill()
     assert all(gone(each.pid) for each in made)
 

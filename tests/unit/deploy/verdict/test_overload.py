@@ -257,8 +257,8 @@ def test_what_stood_many_times_is_one_sentence() -> None:
     router = Stall("", 30.0, 31.0, Cause.ROUTER)
     many, one = _all_stall_words([*stands, router])
     assert many == (
-        "The machine that ran the fleet stood still 6 times from 12.00 s to 23.10 s, for up to 1.1 s and 5.1 s "
-        "together: none of its robots sent a pose. That is not the fleet's doing."
+        "The machine that ran the fleet stood still 6 times from 12.00 s to 23.10 s, for up to 1.1 s and "
+        "5.1 s together: none of its robots sent a pose. That is not the fleet's doing."
     )
     assert one.startswith("No pose came of the robots from 30.00 s to 31.00 s: ")
     assert len(_all_stall_words(stands[:3])) == 3
