@@ -24,7 +24,7 @@ from deploy.faults.live import Held, shown
 from deploy.faults.wording import defaults, held, lasts, words
 from deploy.orders.operator import Known
 
-SILENT_S: Final = 2.0
+SILENT_S: Final = 1.0
 SILENT_STATUSES: Final = 4.0
 """Who has said nothing for so long, and for so many of the times in which its agent tells its status, is
 silent."""
@@ -90,7 +90,7 @@ class Watch:
         self._silent = SilentBodies()
         self._heard: set[int] = set()
         self._heard_s: dict[int, float] = {}
-        """Whose statuses have come since the last picture, and when (fleet time) the last of each had."""
+        """Whose agents have said something since the last picture, and when (fleet time) each had last."""
         self._silent_after_s = max(SILENT_S, SILENT_STATUSES / status_hz(len(fleet.robots)))
         self._news = News(fleet)
         self._rules = [rule for rule in FaultPlan(fleet).file_rules() if lasts(rule)]
@@ -103,13 +103,15 @@ class Watch:
         """Takes a message that came on `key`; one on another robot's key, or an old one, is ignored."""
         name = self._fleet.fleet.name
         if type(message) is HandState and key == key_expressions.hand(name, message.robot):
-            _keep_newest(self.hands, message)
+            if _keep_newest(self.hands, message):
+                self._heard.add(message.robot)
         elif type(message) is Status and key == key_expressions.status(name, message.robot):
             if _keep_newest(self.statuses, message):
                 self._heard.add(message.robot)
                 self._news.state(message.robot, message.state, message.reason)
         elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
             self._silent.hear(message)
+            self._heard.add(message.robot)
         elif type(message) is PlantState:
             if message.note and message.healthy and message.obeying:
                 self._news.remark(message.robot, message.note)
