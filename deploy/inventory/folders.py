@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from itertools import chain, count
 from pathlib import Path
 
 from deploy.console.arguments import InputError
@@ -23,8 +24,13 @@ def state_folder(kind: str) -> Path:
 
 
 def out_folder(out: str | Path | None, name: str, above: str = "runs") -> Path:
-    """The folder that is named, or one of a name and the time."""
-    return Path(out) if out else Path(above) / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    """The folder that is named, or one of a name and the time, that is not there yet: two drives may begin
+    within a second."""
+    if out:
+        return Path(out)
+    base = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    names = chain([base], (f"{base}-{number}" for number in count(2)))
+    return next(path for each in names if not (path := Path(above) / each).exists())
 
 
 def refuse_full(out: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,19 @@ def test_a_folder_is_the_one_that_is_named_or_has_the_name_and_the_time() -> Non
     assert out_folder("there", "delta") == out_folder(Path("there"), "delta") == Path("there")
     assert re.fullmatch(r"runs/delta-\d{8}-\d{6}", out_folder(None, "delta").as_posix())
     assert re.fullmatch(r"sweeps/delta-\d{8}-\d{6}", out_folder("", "delta", "sweeps").as_posix())
+
+
+def test_drives_that_begin_within_a_second_have_folders_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "strftime", lambda _: "20261126-120000")
+    names = []
+    for _ in range(3):
+        folder = out_folder(None, "delta", str(tmp_path))
+        folder.mkdir()
+        names.append(folder.name)
+    first = "delta-20261126-120000"
+    assert names == [first, f"{first}-2", f"{first}-3"]
 
 
 def test_what_is_there_and_not_an_empty_folder_is_refused(tmp_path: Path) -> None:
