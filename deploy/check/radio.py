@@ -8,6 +8,7 @@ from typing import Final
 
 from agent.fleet.hosts import MESH_ROBOTS_MAX
 from agent.fleet.model import Fleet
+from agent.fleet.safety import BEACON_HORIZONS
 from agent.formation.geometry import Geometry
 from agent.messages.types import SILENT_MAX
 from deploy.check.finding import Finding
@@ -17,7 +18,8 @@ from deploy.check.radio_load import kbit, worst_load
 _GOOD_HZ: Final = 10.0
 """A lower rate than this is not proposed while beacons can be fewer."""
 _BEACON_HZ: Final = (2.0, 1.0, 0.5)
-"""Fewer beacons that are proposed."""
+_BEACON_INTERVALS_S: Final = (2.0, 4.0)
+"""Fewer beacons that are proposed: while something is new, and while nothing is."""
 _PERIODS: Final = 2.5
 """Timeouts of plant and wrench at a rate at which they would be shorter than the least that is allowed."""
 
@@ -80,7 +82,7 @@ def _advice(fleet: Fleet, geometry: Geometry, *, operator: bool = False) -> str:
         routed = replace(fleet, network=replace(fleet.network, topology="routed"))
         if not fleet.is_routed and fitting_rates(routed, geometry, operator=operator) is not None:
             return "no rate fits in a mesh, where every listener gets a copy of its own: use routers"
-        return "no rate fits: take fewer robots or edges, or more budget"
+        return "no rate that the law carries fits: take fewer robots or edges, or more budget"
     text = f"this fits: {_words(fleet, geometry, sets)}"
     if not operator:
         watched = fitting_rates(fleet, geometry, operator=True)
@@ -100,7 +102,7 @@ def _words(fleet: Fleet, geometry: Geometry, sets: Mapping[str, float]) -> str:
 
 def fitting_rates(fleet: Fleet, geometry: Geometry, *, operator: bool) -> dict[str, float] | None:
     """Settings with the highest rate (of `_lower_rates`) at which the budget carries everything; None if
-    there is none.
+    there is none, or none at which the law is stable (which is looked at in small fleets).
 
     Beacons become fewer where the rate would have to be below `_GOOD_HZ` otherwise.
     """
@@ -108,18 +110,41 @@ def fitting_rates(fleet: Fleet, geometry: Geometry, *, operator: bool) -> dict[s
     assert budget is not None
     best: dict[str, float] | None = None
     enough = min(_GOOD_HZ, fleet.fleet.rate_hz)
-    for beacons in (None, *(hz for hz in _BEACON_HZ if hz < fleet.avoidance.beacon_hz)):
+    for beacons in _fewer_beacons(fleet):
         # Not by halving: at low rates robots brake later, so they listen to each other from further away.
         for rate in _lower_rates(fleet.fleet.rate_hz):
             if best is not None and rate <= best["fleet.rate_hz"]:
                 break
             sets = _settings(fleet, rate, beacons)
             if worst_load(with_rates(fleet, sets), geometry, operator=operator).most <= budget:
-                best = sets
+                if not _is_unstable(fleet, geometry, sets):
+                    best = sets
                 break
         if best is not None and best["fleet.rate_hz"] >= enough:
             break
     return best
+
+
+def _is_unstable(fleet: Fleet, geometry: Geometry, sets: Mapping[str, float]) -> bool:
+    """Whether the law is; not looked at in a large fleet, where that takes seconds."""
+    if len(fleet.robots) > MESH_ROBOTS_MAX:
+        return False
+    found = check_loop(with_rates(fleet, sets), geometry)
+    return any(each.place == "fleet.rate_hz" and each.level == "error" for each in found)
+
+
+def _fewer_beacons(fleet: Fleet) -> Iterator[dict[str, float]]:
+    """Settings for fewer and fewer beacons, the first for as many as there are."""
+    yield {}
+    rate, longest_s = "avoidance.beacon_hz", "avoidance.beacon_interval_max_s"
+    now_s = fleet.beacon_rounds_max * fleet.period_ns / 1e9
+    most_s = BEACON_HORIZONS * fleet.control.prediction_horizon_s
+    intervals = [each for each in _BEACON_INTERVALS_S if now_s < each <= most_s]
+    yield from ({longest_s: each} for each in intervals)
+    for hz in _BEACON_HZ:
+        if hz < fleet.avoidance.beacon_hz:
+            yield {rate: hz}
+            yield from ({rate: hz, longest_s: each} for each in intervals[-1:] if each >= 1.0 / hz)
 
 
 def _lower_rates(rate_hz: float) -> Iterator[int]:
@@ -130,11 +155,9 @@ def _lower_rates(rate_hz: float) -> Iterator[int]:
         rate -= max(1, rate // 20)
 
 
-def _settings(fleet: Fleet, rate_hz: float, beacon_hz: float | None) -> dict[str, float]:
-    """What has to be set for these rates; None: beacons stay as they are."""
-    sets = {"fleet.rate_hz": rate_hz}
-    if beacon_hz is not None:
-        sets["avoidance.beacon_hz"] = beacon_hz
+def _settings(fleet: Fleet, rate_hz: float, beacons: Mapping[str, float]) -> dict[str, float]:
+    """What has to be set for a rate, with these settings of beacons."""
+    sets = {"fleet.rate_hz": rate_hz, **beacons}
     for name in ("plant_timeout_s", "wrench_timeout_s", "prediction_horizon_s"):
         if getattr(fleet.control, name) < 2.0 / rate_hz:
             sets[f"control.{name}"] = _PERIODS / rate_hz

@@ -7,13 +7,14 @@ from typing import Final
 
 import pytest
 
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
+from deploy.analysis.lattice import lattice
 from deploy.check.check import check
 from deploy.check.description import describe
 from deploy.check.finding import Finding
-from deploy.check.radio import check_radio, fitting_rates
+from deploy.check.radio import check_radio, fitting_rates, with_rates
 from deploy.check.radio_load import worst_load
 from deploy.console.data_files import FLEETS
 
@@ -93,8 +94,12 @@ def test_a_low_rate_has_longer_timeouts_and_is_said_to_be_low() -> None:
 
 
 def test_where_no_rate_fits_it_says_what_might() -> None:
-    (finding,) = found(fleet("network.budget=3000"))
-    assert finding.message.endswith("no rate fits: take fewer robots or edges, or more budget")
+    """Also where one would at which the law is not stable."""
+    for budget in (3000, 20000):
+        (finding,) = found(fleet(f"network.budget={budget}"))
+        assert finding.message.endswith(
+            "no rate that the law carries fits: take fewer robots or edges, or more budget"
+        )
 
 
 def test_where_a_mesh_never_fits_routers_are_proposed() -> None:
@@ -114,7 +119,15 @@ def test_fewer_beacons_are_proposed_before_a_rate_that_is_low() -> None:
     sets = fitting_rates(there, resolve(there), operator=False)
     assert sets is not None
     assert sets["fleet.rate_hz"] >= 10
-    assert sets["avoidance.beacon_hz"] < 5
+    assert sets["avoidance.beacon_interval_max_s"] == 2.0
+
+
+def test_a_large_fleet_is_proposed_a_longer_interval_between_beacons() -> None:
+    """At 5 Hz 103 kbit/s were too much, and no fewer beacons a second than one are said where all is new."""
+    there = parse_fleet(lattice("many", 45, rate_hz=10.0), source="here", overrides=["network.budget=100000"])
+    sets = fitting_rates(there, resolve(there), operator=False)
+    assert sets == {"fleet.rate_hz": 5, "avoidance.beacon_interval_max_s": 4.0}
+    assert worst_load(with_rates(there, sets), resolve(there)).most <= 100_000
 
 
 def test_robots_with_radios_of_their_own_are_warned_of_an_emulated_one() -> None:
