@@ -324,17 +324,19 @@ class Controller:
         """Own body at `time_ns`, from a plant state and what acts on the body since.
 
         A plant state that came late says nothing of the wrenches that the plant took after it:
-        those are the ones that were sent. How hard a plant brakes is its own affair, and what it states then
-        is the force of that moment: held until `time_ns` it would drive a body backwards that stands by then.
+        those are the ones that were sent. How hard a plant brakes is its own affair, and the force that it
+        states then is that of one of its periods: held on it would drive a body backwards that stands then.
         """
         pose = hand.Pose(plant.x, plant.y, plant.heading, plant.speed, plant.yaw_rate)
-        acts = (plant.force, plant.torque) if plant.driving else None
+        acts: tuple[float, float] | None = (plant.force, plant.torque)
         since_ns = plant.time_ns
         boundary_ns = self.acts_from_ns(since_ns)
+        brakes_on = not plant.driving
         while boundary_ns < time_ns:
-            if boundary_ns in self._sent:
+            if brakes_on or boundary_ns in self._sent:
                 pose = self._moved(pose, acts, (boundary_ns - since_ns) / NS_PER_S)
-                since_ns, acts = boundary_ns, self._sent[boundary_ns]
+                since_ns, acts = boundary_ns, self._sent.get(boundary_ns)
+                brakes_on = False
             boundary_ns += self._period_ns
         return self._moved(pose, acts, (time_ns - since_ns) / NS_PER_S)
 
