@@ -245,12 +245,19 @@ def _while_wanted(opens: Callable[[], Any], is_wanted: Callable[[], bool]) -> An
     """What `opens` gives or raises, from a thread of its own: Zenoh waits for seconds, and meanwhile the main
     thread has to answer signals. A `BusError` when it is not wanted any more; the thread is left behind."""
     found: list[Any] = []
+    given_up, handing_over = threading.Event(), threading.Lock()
 
     def open_it() -> None:
         try:
-            found.append(opens())
+            session = opens()
         except BusError as error:
             found.append(error)
+            return
+        with handing_over:
+            if not given_up.is_set():
+                found.append(session)
+                return
+        _close(session)  # nobody has it, and one that stays open hangs the interpreter
 
     thread = threading.Thread(target=open_it, daemon=True)
     _OPENING.append(thread)
@@ -258,6 +265,11 @@ def _while_wanted(opens: Callable[[], Any], is_wanted: Callable[[], bool]) -> An
     while thread.is_alive():
         thread.join(WANTED_S)
         if thread.is_alive() and not is_wanted():
+            with handing_over:
+                given_up.set()
+            for session in found:  # it came at the last moment
+                if not isinstance(session, BusError):
+                    _close(session)
             raise BusError("no router has answered until it was not wanted any more")
     _OPENING.remove(thread)
     if isinstance(found[0], BusError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from contextlib import ExitStack, suppress
 from typing import Any
@@ -159,3 +160,29 @@ def test_who_is_not_wanted_any_more_waits_for_no_router() -> None:
     for thread in tuple(bus._OPENING):
         thread.join(3 * OPEN_TIMEOUT_MS / 1000)
     assert not bus.is_opening()
+
+
+def test_a_session_that_opens_when_nobody_wants_it_any_more_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As of a `stop` that was known to be obeyed before a router answered: an interpreter hangs on one that
+    is open."""
+    closed: list[object] = []
+    monkeypatch.setattr(bus, "_close", closed.append)
+    goes_on = threading.Event()
+    session = object()
+
+    def opens() -> object:
+        goes_on.wait(10.0)
+        return session
+
+    with pytest.raises(BusError, match="not wanted any more"):
+        bus._while_wanted(opens, lambda: False)
+    assert bus.is_opening()
+    goes_on.set()
+    for thread in tuple(bus._OPENING):
+        thread.join(10.0)
+    assert closed == [session]
+    assert not bus.is_opening()
+    assert bus._while_wanted(lambda: session, lambda: True) is session
+    assert closed == [session]
