@@ -86,6 +86,9 @@ def _check_ports(network: Mapping[str, Any], robots: Sequence[Mapping[str, Any]]
 def _check_edges(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
     first: dict[frozenset[int], int] = {}
     known = {robot_id for robot_id in ids if robot_id is not None}
+    absent = {end for edge in formation.get("edges", ()) for end in edge or () if end not in known}
+    # A robot whose id could not be read, or is another's, may be one of them: then the ids are what is wrong.
+    are_ids_wrong = len(absent) <= len(ids) - len(known)
     for number, edge in enumerate(formation.get("edges", ()), 1):
         if edge is None:
             continue
@@ -94,8 +97,7 @@ def _check_edges(formation: Mapping[str, Any], ids: Sequence[int | None], reader
             reader.add(place, f"{shown} joins robot {show(edge[0])} to itself: an edge joins two robots")
             continue
         missing = [show(end) for end in edge if end not in known]
-        # A robot whose id could not be read, or is another's, may be the one.
-        if missing and None not in ids and 0 < len(ids) == len(known):
+        if missing and ids and not are_ids_wrong:
             there_are = show(sorted(known), 80)[1:-1]
             reader.add(
                 place, f"{shown}: there is no robot {' and no robot '.join(missing)}; ids are {there_are}"

@@ -197,6 +197,13 @@ def test_a_bad_element_does_not_hide_the_others() -> None:
     ], "and edge [3, 9] is not blamed: the robot without a readable id may be robot 9"
 
 
+def test_one_id_twice_does_not_account_for_two_absent_robots() -> None:
+    found = problems("formation.edges=[[3, 5], [3, 7], [5, 9]]", "robot.7.id=3")
+    assert [line.split(": ")[0] for line in found] == [
+        "--set robot.7.id", "--set formation.edges[2]", "--set formation.edges[3]",
+    ]  # fmt: skip
+
+
 def test_another_kind_drops_what_the_file_gave_for_its_own() -> None:
     text = SMALL + '[trajectory]\nkind = "line"\nvelocity_mps = [1, 0]\nstart_m = [2, 3]\n'
     fleet = small("trajectory.kind=hold", text=text)
