@@ -25,8 +25,8 @@ from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
-from agent.runtime.loop import Shutdown, add_parent_argument
 from agent.runtime.process import logger
+from agent.runtime.shutdown import Shutdown, add_parent_argument
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.private_files import KeyFileError, read, write
 from agent.security.refusals import Refusals

@@ -27,8 +27,9 @@ from agent.recorder.segments import About, Received
 from agent.recorder.writer_thread import RecorderThread
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
-from agent.runtime.loop import Log, Shutdown
+from agent.runtime.loop import Log
 from agent.runtime.process import StartError, logger, open_bus, robot_arguments
+from agent.runtime.shutdown import Shutdown
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.runtime.version import handfast_version
 from agent.security.identity import of_robot

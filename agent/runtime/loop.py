@@ -1,10 +1,7 @@
-"""The fixed-rate loop of a process round a sans-IO core, and when it is asked to end."""
+"""The fixed-rate loop of a process round a sans-IO core."""
 
 from __future__ import annotations
 
-import os
-import signal
-from argparse import ArgumentParser
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
@@ -16,6 +13,7 @@ from agent.messages.codec import decode, head
 from agent.messages.types import Stop
 from agent.node import TOLD_SHARE, Node
 from agent.runtime.order_store import OrderStore
+from agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.transport.bus import Bus
 from agent.transport.listening_gate import Gate
@@ -29,8 +27,8 @@ SETTLE_NS: Final = NS_PER_S // 500
 """A process that has stood for longer than the first takes what came meanwhile the second later."""
 GATE_PERIOD_NS: Final = NS_PER_S // 5
 """How often is looked for who knocks, ns."""
-LOOK_PERIOD_NS: Final = 2 * NS_PER_S // 5
-"""How often is looked for the parent process, and for links over which nothing comes, ns."""
+LINKS_PERIOD_NS: Final = 2 * NS_PER_S // 5
+"""How often is looked for links over which nothing comes, ns."""
 SAY_PERIOD_NS: Final = NS_PER_S
 """How often systemd hears of another reason for the same state, at most: some have a time in them, ns."""
 
@@ -41,48 +39,6 @@ ROUTER_PAUSE_NS: Final = 10 * NS_PER_S
 """The link to a router is not opened anew more often, whoever behind it is not heard: others are."""
 
 Log = Callable[[str], None]
-
-
-class Shutdown:
-    """Whether the process was asked to end: by SIGTERM, SIGINT or SIGHUP (unless that is ignored, as nohup(1)
-    has it), or because its parent is gone.
-
-    A signal handler only sets a flag: Zenoh must be closed by the main thread.
-
-    Args:
-        with_parent: the process with which it ends, by its number: it may be gone already. 0: the one that is
-            its parent now; None: none.
-    """
-
-    def __init__(self, *, with_parent: int | None) -> None:
-        self.asked = False
-        self.why = ""
-        self._parent = None if with_parent is None else with_parent or os.getppid()
-        ignores_hangup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-        for number in (signal.SIGTERM, signal.SIGINT, *([] if ignores_hangup else [signal.SIGHUP])):
-            signal.signal(number, self._on_signal)
-        self.look_for_parent()
-
-    def _on_signal(self, number: int, _frame: object) -> None:
-        self.asked, self.why = True, signal.Signals(number).name
-        self.look_for_parent()  # its end may be why the kernel sent it
-
-    def look_for_parent(self) -> None:
-        """Asks the process to end when its parent is gone, if it is to end with it."""
-        if self._parent is not None and os.getppid() != self._parent:
-            self.asked, self.why = True, "the process that started it is gone"
-
-
-def add_parent_argument(parser: ArgumentParser) -> None:
-    """Has a process's command line take what `Shutdown` has as `with_parent`, as ``exit_with_parent``."""
-    parser.add_argument(
-        "--exit-with-parent",
-        type=int,
-        nargs="?",
-        const=0,
-        metavar="PID",
-        help="end when the process that started it is gone, whose number may be given",
-    )
 
 
 class OrderKeeper:
@@ -213,10 +169,10 @@ def loop(
             if gate is not None and (knocked := gate.look(now_ns)):
                 log(knocked)
         if now_ns >= links_due_ns:
-            links_due_ns = now_ns + LOOK_PERIOD_NS
+            links_due_ns = now_ns + LINKS_PERIOD_NS
             look_at_links(node, bus, now_ns, names or {}, log)
         if now_ns >= parent_due_ns:
-            parent_due_ns = now_ns + LOOK_PERIOD_NS
+            parent_due_ns = now_ns + PARENT_PERIOD_NS
             shutdown.look_for_parent()
         if not has_epoch and ticks.epoch_ns is not None:
             has_epoch = True

@@ -23,9 +23,10 @@ from agent.messages import key_expressions
 from agent.node import Node
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
-from agent.runtime.loop import A_ROUTER, Log, OrderKeeper, Shutdown, add_parent_argument, loop
+from agent.runtime.loop import A_ROUTER, Log, OrderKeeper, loop
 from agent.runtime.order_store import OrderStore
 from agent.runtime.preloaded import fleet_of, started
+from agent.runtime.shutdown import Shutdown, add_parent_argument
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotValidNowError
 from agent.security.identity import of_robot

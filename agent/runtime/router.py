@@ -24,7 +24,8 @@ from agent.fleet.model import Fleet, FleetError
 from agent.messages.key_expressions import alive, robot_of_alive
 from agent.runtime.batcher import Batcher
 from agent.runtime.certificate_wait import wait_until_valid
-from agent.runtime.loop import DIALLED, Log, Shutdown, add_parent_argument
+from agent.runtime.loop import DIALLED, Log
+from agent.runtime.shutdown import Shutdown, add_parent_argument
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.access_control import Security
 from agent.security.credentials import CredentialsError, load

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.security.credentials import CredentialsError, MissingError, NotValidNowError
-from agent.security.identity import Identity, IdentityError, of_operator
+from agent.security.identity import IdentityError, of_operator
 from agent.security.refusals import ANOTHER_AUTHORITY
 from agent.transport.bus import Bus, BusError
 from agent.transport.sealed_bus import bus_for
@@ -47,8 +48,9 @@ def operator_bus(
         fleet.agent_endpoint(robot) if role == "agent" else fleet.plant_endpoint(robot)
         for robot, role in (() if fleet.routers else receivers(fleet))
     ]
+    opens = partial(bus_for, fleet, listen=[], connect=connect, is_wanted=is_wanted, whenever=whenever)
     if not fleet.is_secured:
-        return bus_for(fleet, None, None, _log, listen=[], connect=connect, is_wanted=is_wanted)
+        return opens(None, None, _log)
     name, folder, who = fleet.fleet.name, keys_folder(fleet.fleet.name), operator_name()
     try:
         identity = of_operator(name, who)
@@ -69,46 +71,25 @@ def operator_bus(
         pass  # said below
     try:
         if earlier:
-            return _joined(
-                *(fleet, identity, folder, earlier, connect), whenever=whenever, is_wanted=is_wanted
-            )
-        return bus_for(
-            *(fleet, identity, folder, _log),
-            listen=[],
-            connect=connect,
-            is_wanted=is_wanted,
-            whenever=whenever,
-        )
+            patient = partial(opens, identity, log=_log_joined, retry_ms=JOINED_RETRY_MS)
+            return _joined(patient, folder, earlier)
+        return opens(identity, folder, _log)
     except CredentialsError as error:
         raise InputError(f"{error}{_advice(error)}") from None
 
 
-def _joined(
-    fleet: Fleet,
-    identity: Identity,
-    folder: Path,
-    earlier: list[Path],
-    connect: list[str],
-    *,
-    whenever: bool,
-    is_wanted: Callable[[], bool] | None,
-) -> OperatorBus:
-    """A bus with each of the credentials that can be used; raises as the first where there are none."""
+def _joined(opens: Callable[[Path], Bus], folder: Path, earlier: list[Path]) -> OperatorBus:
+    """A bus with the credentials of each folder that can be used; raises as the first where there are none.
+
+    Args:
+        opens: a bus with the credentials of a folder.
+    """
     found: list[Bus | None] = []
     first: CredentialsError | BusError | None = None
     try:
         for each in (folder, *earlier):
             try:
-                found.append(
-                    bus_for(
-                        *(fleet, identity, each, _log_joined),
-                        listen=[],
-                        connect=connect,
-                        retry_ms=JOINED_RETRY_MS,
-                        is_wanted=is_wanted,
-                        whenever=whenever,
-                    )
-                )
+                found.append(opens(each))
             except (CredentialsError, BusError) as error:
                 first = first or error
                 found.append(None)

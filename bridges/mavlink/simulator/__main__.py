@@ -13,7 +13,7 @@ from typing import Final
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S, Clock
 from agent.runtime.clock import RealClock
-from agent.runtime.loop import LOOK_PERIOD_NS, Shutdown, add_parent_argument
+from agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown, add_parent_argument
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import (
@@ -76,7 +76,7 @@ def serve(rover: Rover, lines: Sequence[Line], clock: Clock, shutdown: Shutdown,
                 line.restart()
                 rover.set_open(number, line.is_open)
         if now_ns >= parent_due_ns:
-            parent_due_ns = now_ns + LOOK_PERIOD_NS
+            parent_due_ns = now_ns + PARENT_PERIOD_NS
             shutdown.look_for_parent()
     log(f"ending ({shutdown.why})")
     return PASSED

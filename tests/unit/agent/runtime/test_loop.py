@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-from argparse import ArgumentParser
 from collections.abc import Iterator, Sequence
 from typing import cast
 
@@ -15,15 +12,9 @@ from agent.fleet.loading import digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.node import Node
-from agent.runtime.loop import (
-    ROUTER_PAUSE_NS,
-    OrderKeeper,
-    Shutdown,
-    add_parent_argument,
-    look_at_links,
-    loop,
-)
+from agent.runtime.loop import ROUTER_PAUSE_NS, OrderKeeper, look_at_links, loop
 from agent.runtime.process import names_of
+from agent.runtime.shutdown import Shutdown
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.transport.bus import Bus
 from plant.node import PlantNode
@@ -268,39 +259,3 @@ def test_routers_and_others_plants_have_names():
     names = names_of(routers, 2)
     assert names["tcp/here:7447"] == "the router at here:7447"
     assert names[routers.plant_endpoint(1)] == "robot 1's plant"
-
-
-@pytest.mark.parametrize(
-    ("words", "ends"),
-    [
-        ([], False),
-        (["--exit-with-parent"], False),
-        ([f"--exit-with-parent={os.getppid()}"], False),
-        ([f"--exit-with-parent={os.getpid()}"], True),  # which is not its parent, as one that is gone
-    ],
-)
-def test_a_process_whose_parent_was_gone_before_it_looked_ends(words: list[str], ends: bool) -> None:
-    parser = ArgumentParser()
-    add_parent_argument(parser)
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
-    try:
-        shutdown = Shutdown(with_parent=parser.parse_args(words).exit_with_parent)
-        assert (shutdown.asked, shutdown.why != "") == (ends, ends)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@pytest.mark.parametrize("ignored", [False, True])
-def test_a_terminal_that_is_closed_ends_a_process_unless_it_is_to_ignore_that(ignored: bool) -> None:
-    """Or it would end at once, without braking."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
-    try:
-        # Whatever these tests were started with, nohup(1) maybe.
-        signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
-        shutdown = Shutdown(with_parent=None)
-        os.kill(os.getpid(), signal.SIGHUP)
-        assert (shutdown.asked, shutdown.why) == ((False, "") if ignored else (True, "SIGHUP"))
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
