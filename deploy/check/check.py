@@ -16,10 +16,10 @@ from agent.formation.geometry import Geometry, resolve
 from deploy.check.bodies import check_motion, check_noise
 from deploy.check.faults import check_faults
 from deploy.check.finding import Finding
+from deploy.check.load.network import check_network
+from deploy.check.load.radio import check_radio
 from deploy.check.loop import check_gains, check_loop, check_lowest_rate, check_saturation
-from deploy.check.network import check_network
 from deploy.check.orders import check_orders
-from deploy.check.radio import check_radio
 from deploy.check.safety import check_safety
 from deploy.check.sending import check_sending
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced

@@ -230,7 +230,7 @@ class Watch:
 
     def _robot(self, status: Status | None, error: float | None) -> RobotPicture:
         if status is None:
-            return RobotPicture("", "nothing heard yet", None, 0.0, None, 0)
+            return RobotPicture("", "nothing heard yet", None, None, None, 0)
         limit_us = self._fleet.control.clock_skew_max_s * 1e6
         # Beyond the limit for sure: the estimate is off by its error at most.
         off = [

@@ -20,12 +20,13 @@ from agent.fleet.model import Fleet
 from agent.security.credentials import ANOTHER_AUTHORITY
 from agent.supervision.state_machine import DRIVING
 from deploy.console.data_files import ANSIBLE
-from deploy.hosts import remote_program, systemd_units
-from deploy.hosts.bundle import Bundle, Platform
+from deploy.hosts import remote_program
+from deploy.hosts.artifacts import systemd_units
+from deploy.hosts.artifacts.bundle import Bundle, Platform
+from deploy.hosts.artifacts.systemd_units import fleet_file, places
 from deploy.hosts.certificates import MODULE, REQUEST_BYTES_MAX, identities_on, naming
 from deploy.hosts.connection import NO_PYTHON, PROGRAM, bootstrap
 from deploy.hosts.setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
-from deploy.hosts.systemd_units import fleet_file, places
 from deploy.inventory.hosts import hosts_of, robots_on
 from deploy.inventory.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
 

@@ -11,8 +11,8 @@ from agent.supervision.state_machine import DRIVING_NAMES, State
 from agent.transport.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.console.wording import robots as robots_words
-from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
+from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.connection import HostConnection
 from deploy.hosts.jobs import HostJobs
 from deploy.hosts.view import Row

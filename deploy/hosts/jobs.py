@@ -12,7 +12,7 @@ from typing import Final
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from deploy.console.interrupt import Interrupt
-from deploy.hosts.bundle import end_downloads
+from deploy.hosts.artifacts.bundle import end_downloads
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.view import DOING, INTERRUPTED, HostsView, Row
 from deploy.inventory import ssh

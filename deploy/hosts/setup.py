@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
-from deploy.hosts import systemd_units
-from deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for
+from deploy.hosts.artifacts import systemd_units
+from deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for
 from deploy.hosts.connection import Clock, HostConnection, HostError
 from deploy.inventory.hosts import robots_on
 
@@ -71,7 +71,7 @@ def prepare(
     Args:
         fleet: resolved and located.
         text: of the fleet file that robots read.
-        program: `deploy.hosts.bundle.program_archive`.
+        program: `deploy.hosts.artifacts.bundle.program_archive`.
         keys: gives robots and routers of a secured fleet their certificates.
         before_changes: called when all is there, before the robots' files and units change; may raise.
         robots: False for the router alone: its robots and their units are left as they are.

@@ -22,7 +22,7 @@ from agent.security.identity import Identity, IdentityError, of_robot, of_router
 from agent.supervision.state_machine import State
 from deploy.console.wording import FEW, robots
 from deploy.drive.live_view import STYLES
-from deploy.hosts import systemd_units
+from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.certificates import identities_on
 from deploy.hosts.connection import Clock, HostError
 from deploy.inventory.expiry import Expiry

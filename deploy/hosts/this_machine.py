@@ -7,7 +7,7 @@ from typing import Any
 
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
-from deploy.hosts import systemd_units
+from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.status import HostStatus
 from deploy.inventory.known_fleets import KnownFleet
 from deploy.inventory.registry import Running

@@ -27,13 +27,13 @@ from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
 from deploy.console.wording import some
 from deploy.drive.preconditions import clock, older_mission, why
-from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
-from deploy.hosts.bundle import program_archive
+from deploy.hosts.artifacts import systemd_units
+from deploy.hosts.artifacts.bundle import program_archive
+from deploy.hosts.artifacts.plugin_files import plugin_modules
 from deploy.hosts.certificates import AnotherAuthorityError, HostKeys
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.jobs import AT_ONCE_MAX, HostJobs, Work
-from deploy.hosts.plugin_files import plugin_modules
 from deploy.hosts.remote_program import STOP_TEXT_MAX
 from deploy.hosts.router_start import start_router
 from deploy.hosts.setup import Prepared, prepare

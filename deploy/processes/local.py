@@ -15,7 +15,7 @@ from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.runtime.order_store import order_file
 from agent.runtime.process import log_name
-from deploy.check.sharing import sharing
+from deploy.check.load.sharing import sharing
 from deploy.console.wording import robots
 from deploy.faults.process_actions import Action, Process
 from deploy.processes.child import Child, end_all, name_of

@@ -16,7 +16,7 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import PlantState
-from deploy.check.capacity import ROBOTS_MIN, Machine, is_refused, overload
+from deploy.check.load.capacity import ROBOTS_MIN, Machine, is_refused, overload
 
 WINDOWS: Final = 6
 ROUNDS: Final = 20
@@ -25,7 +25,7 @@ LOOKS: Final = 3
 PAUSE_S: Final = 1.0
 """So many looks are taken at most, with a pause between them."""
 ROUND_S: Final = 1.08e-3
-"""Processor time of one round of `_work` where the costs of `deploy.check.capacity` were measured."""
+"""Processor time of one round of `_work` where the costs of `deploy.check.load.capacity` were measured."""
 BUSY: Final = (
     "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nos.write(1, b'.')\n"
     "while os.getppid() == int(sys.argv[2]):\n for _ in range(100_000): pass"

@@ -16,7 +16,7 @@ from agent.runtime.order_store import FILE_BYTES_MAX, STOP_FILE, OrderFileError,
 from agent.security.private_files import KeyFileError, exists, read, write
 from agent.security.sealed_order import Forged, payload_of
 from agent.supervision.state_machine import State
-from deploy.check.sharing import sharing
+from deploy.check.load.sharing import sharing
 from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
 from deploy.session.sealing import sealed
 

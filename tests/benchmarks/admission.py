@@ -31,7 +31,7 @@ from agent.fleet.loading import to_dict
 from agent.messages import key_expressions
 from agent.security.identity import of_robot
 from agent.transport.bus import Bus
-from deploy.hosts.nftables import ruleset
+from deploy.hosts.artifacts.nftables import ruleset
 from tests.benchmarks.figures import Figure, Options, Result, number, spread, table
 from tests.benchmarks.processes import BenchmarkError, cpu_s, environment
 from tests.process.flooding import flooding

@@ -29,7 +29,7 @@ from agent.messages.types import Mission, PlantState
 from agent.recorder.recorder import RobotRecorder, order_keys
 from agent.recorder.segment_folder import SegmentFolder
 from agent.recorder.segments import About, Received
-from deploy.hosts.systemd_units import roles, unit_name
+from deploy.hosts.artifacts.systemd_units import roles, unit_name
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.processes import BenchmarkError, environment, handfast
 from tests.benchmarks.simulated_hosts import DELAY, SSH

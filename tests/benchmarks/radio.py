@@ -2,9 +2,9 @@
 
 Real agents and plants on loopback, in a mesh, with routers and with secured links. Of each TCP socket the
 kernel tells how many bytes and packets it has sent (tcp_info, `ss`); a packet has 52 bytes of headers.
-Between the processes of one robot nothing goes over its radio. What `deploy.check.radio_load` predicts is
-compared for every robot: where it is off, the constants of `agent.links.wire_size` or the sizes of messages
-are stale.
+Between the processes of one robot nothing goes over its radio. What `deploy.check.load.radio_load` predicts
+is compared for every robot: where it is off, the constants of `agent.links.wire_size` or the sizes of
+messages are stale.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from agent.links.wire_size import (
 from agent.messages import key_expressions
 from agent.security.access_control import Security
 from agent.transport.bus import Bus
-from deploy.check.radio_load import RadioLoad, radio_loads
+from deploy.check.load.radio_load import RadioLoad, radio_loads
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.processes import BenchmarkError, NotHereError, end, environment, handfast
 from tests.benchmarks.startup import command_of

@@ -22,7 +22,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages.codec import decode
 from agent.messages.types import Beacon, HandState, PlantState, Status
-from deploy.check.radio_load import kbit, worst_load
+from deploy.check.load.radio_load import kbit, worst_load
 from deploy.console.arguments import fleet_path
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, number, table

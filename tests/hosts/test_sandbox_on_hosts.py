@@ -15,8 +15,8 @@ import pytest
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
 from deploy.console.data_files import FLEETS
+from deploy.hosts.artifacts.sandboxing import TRIED
 from deploy.hosts.remote_program import LEFT_OUT
-from deploy.hosts.sandboxing import TRIED
 from deploy.processes.placement import vehicle
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.host import Host, Setup

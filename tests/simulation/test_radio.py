@@ -14,7 +14,7 @@ from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages.codec import decode
 from agent.messages.types import LOST, QUEUED, Beacon, HandState, LinkTrace, PlantState, Status
-from deploy.check.radio_load import worst_load
+from deploy.check.load.radio_load import worst_load
 from deploy.console.data_files import FLEETS
 from deploy.simulate.simulation import Simulation
 

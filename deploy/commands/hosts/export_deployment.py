@@ -17,7 +17,7 @@ from deploy.inventory.running import handled
 if TYPE_CHECKING:
     from agent.fleet.model import Fleet
     from deploy.hosts.ansible import Pack
-    from deploy.hosts.bundle import Platform
+    from deploy.hosts.artifacts.bundle import Platform
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +72,7 @@ def _export(options: argparse.Namespace) -> int:
     from agent.fleet.loading import to_dict
     from deploy.drive.outcome import refuse_errors
     from deploy.hosts.ansible import DeploymentError, in_words, parse_batches, texts
-    from deploy.hosts.bundle import BundleError
+    from deploy.hosts.artifacts.bundle import BundleError
     from deploy.inventory.folders import refuse_full
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_text
 
@@ -105,8 +105,8 @@ def _export(options: argparse.Namespace) -> int:
 def _packs(fleet: Fleet, asked: list[str]) -> list[Pack]:
     """What hosts of each platform get; raises `BundleError` and `DeploymentError`."""
     from deploy.hosts.ansible import Pack, parse_platform
-    from deploy.hosts.bundle import bundle_for, program_archive
-    from deploy.hosts.plugin_files import plugin_modules
+    from deploy.hosts.artifacts.bundle import bundle_for, program_archive
+    from deploy.hosts.artifacts.plugin_files import plugin_modules
 
     program = program_archive(plugin_modules(fleet))
     platforms = list(dict.fromkeys(map(parse_platform, asked))) or [_this_machine()]
@@ -114,7 +114,7 @@ def _packs(fleet: Fleet, asked: list[str]) -> list[Pack]:
 
 
 def _this_machine() -> Platform:
-    from deploy.hosts.bundle import BundleError, Platform
+    from deploy.hosts.artifacts.bundle import BundleError, Platform
 
     try:
         return Platform.of(

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _firewall(options: argparse.Namespace) -> int:
-    from deploy.hosts.nftables import ruleset
+    from deploy.hosts.artifacts.nftables import ruleset
     from deploy.inventory.hosts import hosts_of, located
 
     for device in options.devices:

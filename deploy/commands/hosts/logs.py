@@ -31,7 +31,7 @@ from deploy.console.arguments import (
 )
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
-from deploy.hosts import systemd_units
+from deploy.hosts.artifacts import systemd_units
 from deploy.inventory import ssh
 from deploy.inventory.hosts import hosts_of, located, robots_on
 from deploy.inventory.known_fleets import KnownFleet, NotRunningError, find

@@ -211,7 +211,7 @@ def _here(fleet: Fleet, known: KnownFleet, interrupt: Interrupt) -> Seen:
 
 def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: Interrupt) -> Seen:
     """What is known of a fleet (located) on these hosts of its; `what`: as the user named it."""
-    from deploy.hosts import systemd_units
+    from deploy.hosts.artifacts import systemd_units
     from deploy.hosts.connection import HostConnection
     from deploy.hosts.jobs import HostJobs
     from deploy.hosts.status import HostStatus, expiries_on_hosts, host_status, process_row, router_rows

@@ -34,7 +34,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _capacity(fleet: Fleet) -> Sequence[Finding]:
     """Whether this machine carries a fleet that `handfast run` would have on it."""
-    from deploy.check.capacity import ROBOTS_MIN, check_capacity
+    from deploy.check.load.capacity import ROBOTS_MIN, check_capacity
 
     if len(fleet.robots) < ROBOTS_MIN or any(robot.host for robot in fleet.robots):
         return ()

@@ -56,7 +56,7 @@ def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
     Raises:
         InputError: these are more, and the options do not say to drive all the same.
     """
-    from deploy.check.capacity import ROBOTS_MIN, describe_capacity, overload
+    from deploy.check.load.capacity import ROBOTS_MIN, describe_capacity, overload
 
     if len(fleet.robots) < ROBOTS_MIN:
         return

@@ -35,7 +35,7 @@ from deploy.hosts.ansible import (
     parse_platform,
     texts,
 )
-from deploy.hosts.bundle import Bundle, Platform
+from deploy.hosts.artifacts.bundle import Bundle, Platform
 from deploy.hosts.connection import Clock
 from deploy.hosts.setup import prepare
 from deploy.inventory.hosts import located, robots_on, robots_text
@@ -261,7 +261,9 @@ def export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int
     wheels.mkdir()
     for name in WHEELS:
         (wheels / name).write_text(name)
-    monkeypatch.setattr("deploy.hosts.bundle.bundle_for", lambda _, program: Bundle(wheels, WHEELS, program))
+    monkeypatch.setattr(
+        "deploy.hosts.artifacts.bundle.bundle_for", lambda _, program: Bundle(wheels, WHEELS, program)
+    )
     file = tmp_path / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet())))
     parser = argparse.ArgumentParser()

@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.hosts import HostSection
-from deploy.hosts import remote_program, sandboxing
+from deploy.hosts import remote_program
+from deploy.hosts.artifacts import sandboxing
 from deploy.hosts.connection import HostConnection, HostError
 from tests.process.harness import wait_for
 

@@ -12,7 +12,7 @@ import pytest
 from agent.transport.bus import BusError
 from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
-from deploy.hosts.bundle import Bundle
+from deploy.hosts.artifacts.bundle import Bundle
 from deploy.hosts.connection import HostError
 from deploy.hosts.up import BringUp
 from deploy.hosts.view import DONE, FAILED

@@ -17,7 +17,8 @@ from agent.messages.types import Stop
 from agent.messages.versions import as_believed
 from agent.runtime.order_store import STOP_FILE, packed, unpacked
 from deploy.console.arguments import InputError
-from deploy.hosts import stop_by_ssh, systemd_units
+from deploy.hosts import stop_by_ssh
+from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.stop_by_ssh import SshWay
 from deploy.orders.stop_outcome import Stopping
 from tests.process.harness import wait_for

@@ -22,10 +22,10 @@ from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
 from deploy.drive.preconditions import CAME_UP, GOES_DOWN
 from deploy.hosts.arrivals import Arrivals
-from deploy.hosts.bundle import Bundle
+from deploy.hosts.artifacts.bundle import Bundle
+from deploy.hosts.artifacts.systemd_units import roles, unit_name
 from deploy.hosts.certificates import AnotherAuthorityError
 from deploy.hosts.connection import Clock, HostError
-from deploy.hosts.systemd_units import roles, unit_name
 from deploy.hosts.up import BringUp, Timing
 from deploy.hosts.view import DONE, FAILED, Row
 from deploy.inventory.hosts import hosts_of

@@ -15,7 +15,7 @@ from agent.messages.types import Resume, Stop
 from agent.runtime.order_store import STOP_FILE, OrderStore, packed, unpacked
 from agent.security.private_files import private_directory
 from deploy.analysis.lattice import lattice
-from deploy.check.sharing import sharing
+from deploy.check.load.sharing import sharing
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.stop_by_file import WAY, FileWay, kept_versions
 from tests.unit.deploy.orders.order_fleets import square

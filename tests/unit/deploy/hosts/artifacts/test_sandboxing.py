@@ -7,9 +7,10 @@ from dataclasses import replace
 import pytest
 
 from agent.fleet.model import Fleet
-from deploy.hosts import remote_program, sandboxing
-from deploy.hosts.sandboxing import Needs, filters, namespaces
-from deploy.hosts.systemd_units import Places, roles, unit
+from deploy.hosts import remote_program
+from deploy.hosts.artifacts import sandboxing
+from deploy.hosts.artifacts.sandboxing import Needs, filters, namespaces
+from deploy.hosts.artifacts.systemd_units import Places, roles, unit
 from tests.unit.deploy.hosts.test_systemd_units import fleet, settings
 
 SECURED = Places("/r/versions/1", "/r/two.toml", "/r/keys", "/r/recordings", "/r/state", "/r/orders")

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from agent.runtime.version import handfast_version
 from deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
-from deploy.hosts.plugin_files import plugin_files
+from deploy.hosts.artifacts.plugin_files import plugin_files
 from deploy.inventory.folders import cache_folder
 
 PACKAGES: Final = ("agent", "plant", "bridges")
@@ -222,7 +222,7 @@ def program_archive(modules: tuple[str, ...] = ()) -> bytes:
         modules: of plugins, whose files go with them.
 
     Raises:
-        deploy.hosts.plugin_files.PluginFilesError: a plugin cannot be sent.
+        deploy.hosts.artifacts.plugin_files.PluginFilesError: a plugin cannot be sent.
     """
     memory = BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:

@@ -13,10 +13,10 @@ import pytest
 from agent.common import plugins
 from agent.fleet.loading import load_fleet
 from deploy.console.data_files import FLEETS
-from deploy.hosts import plugin_files as module
 from deploy.hosts import remote_program
-from deploy.hosts.bundle import PLUGINS, program_archive
-from deploy.hosts.plugin_files import PluginFilesError, plugin_files, plugin_modules
+from deploy.hosts.artifacts import plugin_files as module
+from deploy.hosts.artifacts.bundle import PLUGINS, program_archive
+from deploy.hosts.artifacts.plugin_files import PluginFilesError, plugin_files, plugin_modules
 from plant.backend import Plant
 
 PLANT = "from handfast import Plant\n\n\nclass Mine(Plant):\n    pass\n"

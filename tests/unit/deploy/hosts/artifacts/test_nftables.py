@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.hosts.nftables import ruleset
+from deploy.hosts.artifacts.nftables import ruleset
 from tests.unit.agent.fleet.test_hosts import HOSTS, ROUTERS, fleet
 
 

@@ -14,8 +14,8 @@ from deploy.analysis.lattice import lattice
 from deploy.check.check import check
 from deploy.check.description import describe
 from deploy.check.finding import Finding
-from deploy.check.radio import check_radio, fitting_rates, with_rates
-from deploy.check.radio_load import worst_load
+from deploy.check.load.radio import check_radio, fitting_rates, with_rates
+from deploy.check.load.radio_load import worst_load
 from deploy.console.data_files import FLEETS
 
 PLACE: Final = "network.budget"

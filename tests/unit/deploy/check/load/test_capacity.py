@@ -10,8 +10,9 @@ from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.analysis.lattice import lattice
-from deploy.check import capacity
-from deploy.check.capacity import (
+from deploy.check.check import check
+from deploy.check.load import capacity
+from deploy.check.load.capacity import (
     AGENT_COMPILED,
     FULL,
     ROBOTS_MIN,
@@ -29,8 +30,7 @@ from deploy.check.capacity import (
     that_fits,
     used,
 )
-from deploy.check.check import check
-from deploy.check.network import load_of
+from deploy.check.load.network import load_of
 from deploy.console.data_files import FLEETS
 
 LAPTOP = Machine(2.0, 1.0)

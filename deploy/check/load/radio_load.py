@@ -35,7 +35,7 @@ from agent.messages.types import (
     Wrench,
 )
 from agent.supervision.status import status_hz
-from deploy.check.network import beacon_hz, listeners, neighbours
+from deploy.check.load.network import beacon_hz, listeners, neighbours
 
 _NOW_NS: Final = 1_790_000_000_000_000_000
 _ROUND: Final = FIRST_ROUND + 10_000

@@ -13,8 +13,8 @@ from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.security.credentials import Files
 from agent.security.identity import of_robot
-from deploy.hosts import systemd_units
-from deploy.hosts.systemd_units import Places, arguments, roles, router_units, unit, unit_name
+from deploy.hosts.artifacts import systemd_units
+from deploy.hosts.artifacts.systemd_units import Places, arguments, roles, router_units, unit, unit_name
 from tests.unit.agent.fleet.test_hosts import FLEET, HOSTS, LEFT, RIGHT, ROUTERS
 
 PLACES = Places(

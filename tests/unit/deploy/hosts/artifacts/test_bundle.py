@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from deploy.console.data_files import ROBOT_REQUIREMENTS
-from deploy.hosts import bundle
-from deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
+from deploy.hosts.artifacts import bundle
+from deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
 
 PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
 

@@ -2,7 +2,7 @@
 
 A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that
 it lives (`agent.runtime.systemd_notify`); it bounds what it may take, and keeps it from what it does not need
-(`deploy.hosts.sandboxing`). Neither ssh nor the operator's machine is needed for that.
+(`deploy.hosts.artifacts.sandboxing`). Neither ssh nor the operator's machine is needed for that.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.security.identity import of_robot, of_router
-from deploy.hosts import sandboxing
-from deploy.hosts.sandboxing import Needs
+from deploy.hosts.artifacts import sandboxing
+from deploy.hosts.artifacts.sandboxing import Needs
 from deploy.processes.child import ONE_THREAD
 
 RECORDER: Final = "recorder"

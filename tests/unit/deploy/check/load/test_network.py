@@ -6,7 +6,7 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
-from deploy.check.network import check_network, describe_links, describe_topology, load_of
+from deploy.check.load.network import check_network, describe_links, describe_topology, load_of
 from deploy.console.data_files import FLEETS
 
 

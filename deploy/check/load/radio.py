@@ -12,8 +12,8 @@ from agent.fleet.safety import BEACON_HORIZONS
 from agent.formation.geometry import Geometry
 from agent.messages.types import SILENT_MAX
 from deploy.check.finding import Finding
+from deploy.check.load.radio_load import kbit, worst_load
 from deploy.check.loop import check_loop
-from deploy.check.radio_load import kbit, worst_load
 
 _GOOD_HZ: Final = 10.0
 """A lower rate than this is not proposed while beacons can be fewer."""

@@ -16,8 +16,8 @@ from agent.control.safety_distances import barrier_rate, speed_max
 from agent.fleet.model import Fleet
 from deploy.check.check import check
 from deploy.check.finding import Finding
-from deploy.check.network import load_of
-from deploy.check.sharing import sharing
+from deploy.check.load.network import load_of
+from deploy.check.load.sharing import sharing
 
 ROBOTS_MIN: Final = 13
 """Smaller fleets are not looked at: they fit."""
@@ -33,8 +33,8 @@ RECORDED_S: Final = 70e-6
 """Processor time, s, Zenoh's part in it. Of an agent for a second at any rate (it looks who is near, tells
 its status, keeps its links alive), for a round of its loop, so much more where it says what it says to each
 of the others, for a message that it hears, and for one that came in a batch (the batch is a message); of a
-plant for a round, and of one that shares its process (`deploy.check.sharing`); of a router for a message that
-it passes on; of `run` for one that it records."""
+plant for a round, and of one that shares its process (`deploy.check.load.sharing`); of a router for a message
+that it passes on; of `run` for one that it records."""
 AGENT_COMPILED: Final = 0.66
 PLANT_COMPILED: Final = 0.85
 RUN_COMPILED: Final = 0.87

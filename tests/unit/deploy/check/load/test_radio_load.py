@@ -14,8 +14,8 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.links.wire_size import acknowledged_bytes, carried_bytes, joined_bytes, keep_alive_bytes
 from agent.messages import key_expressions
-from deploy.check import radio_load
-from deploy.check.radio_load import RadioLoad, kbit, listeners, neighbours, radio_loads, worst_load
+from deploy.check.load import radio_load
+from deploy.check.load.radio_load import RadioLoad, kbit, listeners, neighbours, radio_loads, worst_load
 from deploy.console.data_files import FLEETS
 from deploy.simulate.simulation import Simulation
 

@@ -10,7 +10,7 @@ import pytest
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from deploy.analysis.lattice import lattice as grid
-from deploy.check.sharing import sharing
+from deploy.check.load.sharing import sharing
 
 
 def lattice(n: int, rate_hz: float, *overrides: str) -> Fleet:
