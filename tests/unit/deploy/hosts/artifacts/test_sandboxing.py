@@ -11,7 +11,7 @@ from deploy.hosts import remote_program
 from deploy.hosts.artifacts import sandboxing
 from deploy.hosts.artifacts.sandboxing import Needs, filters, namespaces
 from deploy.hosts.artifacts.systemd_units import Places, roles, unit
-from tests.unit.deploy.hosts.test_systemd_units import fleet, settings
+from tests.unit.deploy.hosts.artifacts.test_systemd_units import fleet, settings
 
 SECURED = Places("/r/versions/1", "/r/two.toml", "/r/keys", "/r/recordings", "/r/state", "/r/orders")
 SIMULATED, BRIDGED = 1, 2
