@@ -262,15 +262,18 @@ def _while_wanted(opens: Callable[[], Any], is_wanted: Callable[[], bool]) -> An
     thread = threading.Thread(target=open_it, daemon=True)
     _OPENING.append(thread)
     thread.start()
-    while thread.is_alive():
-        thread.join(WANTED_S)
-        if thread.is_alive() and not is_wanted():
-            with handing_over:
-                given_up.set()
-            for session in found:  # it came at the last moment
-                if not isinstance(session, BusError):
-                    _close(session)
-            raise BusError("no router has answered until it was not wanted any more")
+    try:
+        while thread.is_alive():
+            thread.join(WANTED_S)
+            if thread.is_alive() and not is_wanted():
+                raise BusError("no router has answered until it was not wanted any more")
+    except BaseException:  # a KeyboardInterrupt, too
+        with handing_over:
+            given_up.set()
+        for session in found:  # it came at the last moment
+            if not isinstance(session, BusError):
+                _close(session)
+        raise
     _OPENING.remove(thread)
     if isinstance(found[0], BusError):
         raise found[0]

@@ -36,6 +36,10 @@ DEATHS_PERIOD_NS: Final = NS_PER_S // 10
 DEATHS_MAX: Final = 3
 """So many that ended in one way are told one by one."""
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
+STOOD_NS: Final = NS_PER_S
+FRESH_NS: Final = NS_PER_S // 2
+"""A drive that has stood for longer than the first shows nothing for the second: statuses come five times a
+second."""
 SHOW_FIRST_NS: Final = NS_PER_S // 10
 """So long after a mission's begin all have told that they drive."""
 ORDER_LATE_NS: Final = NS_PER_S // 2
@@ -85,6 +89,7 @@ class Drive:
         self._fleet_state = FleetState(fleet, bus, processes, record)
         self._watch, self._operator = self._fleet_state.watch, self._fleet_state.operator
         self._clock, self._checks = self._fleet_state.clock, self._fleet_state.checks
+        self._stepped_ns, self._has_stood = self._clock.now_ns(), False
         self._todo: list[tuple[float, Callable[[], None]]] = []
         """What rules will do to processes and what the fleet file orders, with its fleet time (s), the next
         one last."""
@@ -277,6 +282,7 @@ class Drive:
             do()
             fleet_state.collect()
         now_ns = self._clock.now_ns()
+        self._look_after_a_stand(now_ns)
         if self._beats and now_ns >= self._heartbeat_due_ns:
             self._heartbeat_due_ns = now_ns + HEARTBEAT_PERIOD_NS
             fleet_state.say(Heartbeat(now_ns, fleet_state.author))
@@ -288,6 +294,14 @@ class Drive:
             if self._deaths():
                 return False
         return not self._interrupt.count
+
+    def _look_after_a_stand(self, now_ns: int) -> None:
+        """After this process has stood, what waited for it is not shown as what is: fresh messages are."""
+        stood, before = now_ns - self._stepped_ns > STOOD_NS, self._has_stood
+        self._stepped_ns, self._has_stood = now_ns, stood
+        if stood and not before:
+            self._watch.stood()
+            self._show_due_ns = max(self._show_due_ns, now_ns + FRESH_NS)
 
     @property
     def _beats(self) -> bool:

@@ -203,6 +203,10 @@ class Watch:
             picture.lagging = self._lagging.look(time_s, driving, AT_PLACE * least_m)
         return picture
 
+    def stood(self) -> None:
+        """This process has stood: by what waited for it since the last picture nobody is heard."""
+        self._heard.clear()
+
     def _silent_s(self, time_s: float) -> dict[int, float]:
         """Robots that have been heard, and not for a while, and for how long."""
         self._heard_s |= dict.fromkeys(self._heard, time_s)

@@ -18,7 +18,7 @@ from deploy.console.wording import robots
 from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.operator import Operator, Order
 from deploy.session.author import author
-from deploy.session.session import INBOX, Session
+from deploy.session.session import INBOX, Session, always
 
 ASK_S: Final = 1.0
 SEND_PERIOD_S: Final = 0.25
@@ -26,6 +26,9 @@ SEND_PERIOD_S: Final = 0.25
 
 class OperatorSession(Session):
     """A session that hears and gives orders.
+
+    Args:
+        is_wanted: as of an `operator_bus`.
 
     Attributes:
         operator: what has been ordered, and gives orders.
@@ -38,9 +41,9 @@ class OperatorSession(Session):
         agent.transport.bus.BusError: the bus cannot be opened.
     """
 
-    def __init__(self, fleet: Fleet) -> None:
+    def __init__(self, fleet: Fleet, is_wanted: Callable[[], bool] = always) -> None:
         fleet = resolved(fleet)  # as agents read it: missions are for this file and no other
-        super().__init__(fleet)
+        super().__init__(fleet, is_wanted=is_wanted)
         name = fleet.fleet.name
         self.operator: Final = Operator(fleet, resolve(fleet))
         self.statuses: dict[int, Status] = {}

@@ -36,11 +36,17 @@ def valid(payload: bytes) -> Message | None:
         return None
 
 
+def always() -> bool:
+    """Until Ctrl-C, which Zenoh would leave unanswered for seconds while no router answers."""
+    return True
+
+
 class Session:
     """An operator on the bus of `fleet`, connected to every agent and plant. A context manager.
 
     Args:
         bus: `operator_bus` of the fleet, unless it is another one.
+        is_wanted: as of an `operator_bus`.
 
     Attributes:
         bus: what those that build on this subscribe to and publish on.
@@ -51,12 +57,14 @@ class Session:
         agent.transport.bus.BusError: the bus cannot be opened.
     """
 
-    def __init__(self, fleet: Fleet, bus: OperatorBus | None = None) -> None:
+    def __init__(
+        self, fleet: Fleet, bus: OperatorBus | None = None, is_wanted: Callable[[], bool] = always
+    ) -> None:
         self.fleet: Final = fleet
         self.receivers: Final = receivers(fleet)
         self.clock: Final = RealClock()
         self.alive: set[Receiver] = set()
-        self.bus: Final = operator_bus(fleet) if bus is None else bus
+        self.bus: Final = operator_bus(fleet, is_wanted=is_wanted) if bus is None else bus
         self._presence = self.bus.watch(key_expressions.alive(fleet.fleet.name, "*", "*"))
 
     def __enter__(self: S) -> S:

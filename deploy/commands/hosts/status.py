@@ -131,8 +131,8 @@ class Ears:
         session: None where it is deaf.
     """
 
-    def __init__(self, fleet: Fleet, otherwise: str) -> None:
-        self._fleet, self._otherwise = fleet, otherwise
+    def __init__(self, fleet: Fleet, otherwise: str, interrupt: Interrupt) -> None:
+        self._fleet, self._otherwise, self._interrupt = fleet, otherwise, interrupt
         self._stack = ExitStack()
         self.session: OperatorSession | None = None
         self.statuses: Mapping[int, Status] = {}
@@ -142,9 +142,11 @@ class Ears:
         from deploy.session.operator_session import OperatorSession
 
         try:
-            self.session = self._stack.enter_context(OperatorSession(self._fleet))
+            session = OperatorSession(self._fleet, lambda: not self._interrupt.count)
+            self.session = self._stack.enter_context(session)
         except (BusError, InputError) as error:
-            print(f"handfast: agents are not heard{self._otherwise}: {error}", file=sys.stderr)
+            if not self._interrupt.count:
+                print(f"handfast: agents are not heard{self._otherwise}: {error}", file=sys.stderr)
         else:
             self.statuses = self.session.statuses
             self.session.listen_to_beacons()
@@ -194,7 +196,7 @@ def _here(fleet: Fleet, known: KnownFleet, interrupt: Interrupt) -> Seen:
     from deploy.hosts.status import process_row
     from deploy.hosts.this_machine import logs_of, run_words, this_machine
 
-    with Ears(fleet, "") as ears:
+    with Ears(fleet, "", interrupt) as ears:
         ears.wait(lambda: interrupt.count > 0 or ears.know, LISTEN_S)
         bodies, older = ears.bodies(), ears.older_mission()
         here = this_machine(fleet, known.fleet_file, logs_of(known))
@@ -226,7 +228,7 @@ def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: 
         found[row.host] = host_status(answer, connection.clock())
 
     # The hosts first: to open the bus may take a while, in which they answer.
-    with HostJobs(fleet, hosts, ask) as jobs, Ears(fleet, ", only hosts are asked") as ears:
+    with HostJobs(fleet, hosts, ask) as jobs, Ears(fleet, ", only hosts are asked", interrupt) as ears:
 
         def asked() -> bool:
             return interrupt.count > 0 or not jobs.busy

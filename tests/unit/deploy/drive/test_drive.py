@@ -23,7 +23,7 @@ from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, R
 from agent.transport.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.drive.attached import Attached
-from deploy.drive.drive import SHOW_FIRST_NS, SHOW_PERIOD_NS, Drive
+from deploy.drive.drive import FRESH_NS, SHOW_FIRST_NS, SHOW_PERIOD_NS, STOOD_NS, Drive
 from deploy.drive.live_view import Lines
 from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
 from deploy.drive.timing import Timing
@@ -457,3 +457,23 @@ def test_a_fleet_is_shown_as_soon_as_it_can_be_heard_to_drive(epoch_ns: int | No
     state: Any = SimpleNamespace(epoch_ns=None if epoch_ns is None else now_ns + epoch_ns)
     drive._fleet_state = state
     assert drive._next_show_ns(now_ns) - now_ns == due_ns
+
+
+def test_after_a_stand_of_the_command_what_waited_for_it_is_not_shown_as_what_is() -> None:
+    """As after Ctrl-Z: messages from before come first."""
+    drive, _ = driven(Robots("ready"))
+    stands: list[int] = []
+    drive._watch.stood = lambda: stands.append(now_ns)  # type: ignore[method-assign]
+    now_ns = drive._stepped_ns
+    for gap_ns, shown_ns in (
+        (NS_PER_S // 20, 0),
+        (STOOD_NS + 1, FRESH_NS),
+        (STOOD_NS + 1, 0),  # on a machine where each step takes so long something has to be shown
+        (NS_PER_S // 20, 0),
+        (9 * NS_PER_S, FRESH_NS),
+    ):
+        now_ns += gap_ns
+        drive._show_due_ns = now_ns
+        drive._look_after_a_stand(now_ns)
+        assert drive._show_due_ns - now_ns == shown_ns
+    assert len(stands) == 2

@@ -18,7 +18,7 @@ from tests.unit.deploy.hosts.test_up import There, World
 def world(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> World:
     where = {"rover1": {"address": "10.0.0.1"}, "rover2": {"address": "10.0.0.2"}}
     there = World(fleet(where, network={"security": "off"}))
-    monkeypatch.setattr("deploy.session.session.operator_bus", lambda _: there)
+    monkeypatch.setattr("deploy.session.session.operator_bus", lambda *_, **__: there)
     monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
     monkeypatch.setattr(at_rest, "LISTEN_S", 0.1)
     return there
@@ -60,7 +60,7 @@ def test_who_cannot_be_asked_is_unknown(world: World, monkeypatch: pytest.Monkey
 
 
 def test_without_a_bus_the_hosts_tell(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(_: object) -> None:
+    def refused(*_: object, **__: object) -> None:
         raise BusError("no router answers")
 
     monkeypatch.setattr("deploy.session.session.operator_bus", refused)

@@ -48,7 +48,7 @@ class Routed(World):
     def host(self, host: Any, robots: int, *, accept_new: bool) -> There:
         return WithRouter(self, host)
 
-    def bus(self, _: object) -> World:
+    def bus(self, *_: object, **__: object) -> World:
         if not self.pids:
             raise BusError("no router answers")
         return self

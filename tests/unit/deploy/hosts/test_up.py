@@ -223,7 +223,7 @@ class View:
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     there = World(fleet({"rover1": {"address": "10.0.0.1"}, "rover2": {}}, network={"security": "off"}))
-    monkeypatch.setattr("deploy.session.session.operator_bus", lambda _: there)
+    monkeypatch.setattr("deploy.session.session.operator_bus", lambda *_, **__: there)
     monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
     monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
     monkeypatch.setattr("deploy.hosts.up.program_archive", lambda modules: b"program")
