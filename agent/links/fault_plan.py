@@ -178,11 +178,20 @@ class FaultPlan:
 
         Beacons go over the same air as hand states: what is for one is for both.
         """
-        ruled = "hand" if topic == "beacon" else topic
+        ruled = _ruled_as(topic)
         return LinkRules(
             tuple(timed for timed in self._timed if timed.touches(source, destination, ruled, self.ids)),
             self._defaults if ruled == "hand" else {},
             self._replays.get(((source, destination), topic)),
+        )
+
+    def is_ruled(self, source: int, destination: int, topic: str) -> bool:
+        """Whether `rules_of_link` has anything: what most links are asked."""
+        ruled = _ruled_as(topic)
+        return (
+            any(timed.touches(source, destination, ruled, self.ids) for timed in self._timed)
+            or (ruled == "hand" and bool(self._defaults))
+            or ((source, destination), topic) in self._replays
         )
 
     @property
@@ -235,3 +244,8 @@ class FaultPlan:
                 for name in given:
                     found.setdefault(name, getattr(rule, name))
         return found
+
+
+def _ruled_as(topic: str) -> str:
+    """By the rules of which topic a message goes."""
+    return "hand" if topic == "beacon" else topic

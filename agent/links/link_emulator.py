@@ -189,7 +189,8 @@ class LinkEmulator:
         self.robot: Final = robot
         self._sources = [(TOPICS.index(topic), each) for topic, robots in sources.items() for each in robots]
         self._links: dict[tuple[int, int], _Link] = {}
-        """Empty while nothing can happen to any message: a node has two of them for every robot there is."""
+        """Those on which something may have happened: a node has two for every robot there is, and a rule is
+        for few."""
         self._order = 0
         self._pending: list[tuple[int, int, _Link, Arrival]] = []
         self._holding = 0
@@ -203,14 +204,20 @@ class LinkEmulator:
 
     def _rule(self) -> bool:
         """Takes over the plan's rules; whether they may do anything to any message."""
-        if not self._links and (self.plan.rules_links or self._radio):
-            self._links = {
-                (t, source): _Link(self.plan, source, self.robot, t) for t, source in self._sources
-            }
-        else:
-            for link in self._links.values():
-                link.refresh()
-        return any(not link.rules.idle for link in self._links.values())
+        plan, links = self.plan, self._links
+        for link in links.values():
+            link.refresh()
+        if plan.rules_links:
+            for topic, source in self._sources:
+                if (topic, source) not in links and plan.is_ruled(source, self.robot, TOPICS[topic]):
+                    self._link(topic, source)
+        return any(not link.rules.idle for link in links.values())
+
+    def _link(self, topic: int, source: int) -> _Link:
+        link = self._links.get((topic, source))
+        if link is None:
+            link = self._links[topic, source] = _Link(self.plan, source, self.robot, topic)
+        return link
 
     def refresh(self) -> None:
         """Takes over the plan's rules; to be called when they have changed."""
@@ -233,10 +240,8 @@ class LinkEmulator:
             topic: index into `TOPICS`.
             own_position: (x, y), m, W, for a range channel; None while not known: it then does nothing.
         """
-        if not self._links:
-            return True
-        link = self._links[topic, message.robot]
-        if link.rules.idle:
+        link = self._links.get((topic, message.robot))
+        if link is None or link.rules.idle:
             return True
         sequence, stamp_ns = message.sequence, message.time_ns
         recorded = link.rules.replayed(sequence)
@@ -272,7 +277,7 @@ class LinkEmulator:
         if until_ns is None:
             self._trace.append(Decision(*sent, QUEUED | LOST | OVERFLOW, _LOST_US))
             return
-        delay_ns = until_ns - self._links[topic, message.robot].sent_ns(message.time_ns)
+        delay_ns = until_ns - self._link(topic, message.robot).sent_ns(message.time_ns)
         self._trace.append(Decision(*sent, QUEUED, max(0, delay_ns) // 1000))
 
     def _replay(self, link: _Link, delays_us: tuple[int, int], arrival: Arrival) -> bool:

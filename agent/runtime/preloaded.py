@@ -8,7 +8,10 @@ from typing import Final
 
 from agent.fleet.loading import digest, load_fleet
 from agent.fleet.model import Fleet
+from agent.fleet.scenario import parse_scenario
 
+RULE: Final = '[[faults.rule]]\nloss = "1%"\n'
+"""Any rule: what it takes to read the first of them is remembered, and a live one is read by all at once."""
 _fleets: Final[dict[str, Fleet]] = {}
 _on_start: Final[list[Callable[[], None]]] = []
 
@@ -26,6 +29,7 @@ def preload(path: str) -> Fleet:
         if robot.kind.body:
             import_module(robot.kind.body.partition(":")[0])
     digest(fleet)  # which it remembers
+    parse_scenario(RULE, fleet.ids)
     _fleets[path] = fleet
     return fleet
 

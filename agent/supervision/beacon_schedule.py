@@ -3,12 +3,13 @@
 In a small fleet it does so at every turn. In a large one that would be most of what everybody hears, and
 grow with the fleet. There others carry a robot forward at the velocity that it told (dead reckoning, as in
 IEEE 1278.1), and its next beacon comes when it is elsewhere by more than they allow for (U2), has something
-else to tell, or finds that others lack what it has told; after that again soon, in case that was lost; and
+else to tell, such as another mission or that it lacks an order; then once more, in case that was lost; and
 after `Fleet.beacon_rounds_max`, or `WAY_M`, at the latest. Each beacon says until when the next one comes.
 The velocity that is told is the mean one at which the law takes the robot on. One that is held up does not go
 where the law would have it: where that was wrong, and the velocity that it had at the last beacon was nearer,
 it tells the velocity that it has.
-What happens to all at once, as an order does, they tell in turn, and again each at its own times.
+What happens to all at once they tell in turn, and again each at its own times: that they have a mission. That
+they are stopped and may drive on is no news, as all hear that.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ GROWTH_SURE: Final = 64
 """So many times as long as the one before is the interval after a beacon that says again what another has
 said: as in RFC 6206 where links lose messages, else the longest at once. One that is lost is said again
 anyway, and of a crowd that comes together these were most of what each heard."""
+AGAIN_SURE_NS: Final = NS_PER_S
+"""So much later it says once more where it is, where links lose nothing; what it tells meanwhile takes its
+place. A fleet that sets out at once would else say most things twice."""
 ONWARD: Final = 0.75
 """For so much of the time to the next beacon is the mean velocity told: what others allow for grows with its
 age, and is least at first."""
@@ -96,9 +100,9 @@ class BeaconSchedule:
         self._again_ns: Final = all_ns
         self._orders_pause_ns: Final = round(shares[0] * all_ns / least_ns) * least_ns
         self._orders_ns: int | None = None
-        """Since when it has orders to tell of."""
-        self._lacking: set[int] = set()
-        """Those that say that they have other orders."""
+        """Since when it has something to tell of its orders."""
+        self._ahead: set[int] = set()
+        """Those that have told since it spoke last that they have one which it had not."""
         self._turn: int | None = None
         self._said: Beacon | None = None
         self._rows: dict[int, Silent] = {}
@@ -135,8 +139,10 @@ class BeaconSchedule:
             return beacon
         if said is None:
             timer.changed(self._again_ns)
-        elif _is_off(beacon, said) or beacon.overload > max(said.overload, self.level):
+        elif beacon.overload > max(said.overload, self.level):
             timer.changed()
+        elif _is_off(beacon, said):
+            timer.changed(0 if self.loses else AGAIN_SURE_NS)
         elif hurries and self._has_news(beacon, said, None if near is None else near()):
             self._hurried_ns, self._is_missed = now_ns, False
             timer.changed()
@@ -155,7 +161,7 @@ class BeaconSchedule:
         growth = GROWTH if self.loses else GROWTH_SURE
         next_ns = max(self.tick_ns, timer.said(now_ns, most_ns=most_ns, growth=growth))
         self._said = beacon
-        self._lacking.clear()
+        self._ahead.clear()
         self._orders_ns = None
         if len(beacon.silent) < SILENT_MAX:
             self._rows.clear()
@@ -180,11 +186,16 @@ class BeaconSchedule:
         return beacon._replace(vx=by_law[0], vy=by_law[1])
 
     def _tells_orders(self, beacon: Beacon, said: Beacon) -> bool:
-        """Whether it has other orders than `said` tells, or than others tell, and it is its turn to say so.
+        """Whether it drives by another mission than `said` tells, which who loses it has to know
+        (`agent.control.right_of_way`), or lacks an order that another has, and it is its turn to say so.
 
-        As all get them at once, all would say so at once, and all answer whoever does not have them yet.
+        All take a mission at once, and all but one may lack an order: all would say so at once. Who hears
+        that one is lacked tells it, so the first is enough.
         """
-        if _marks(beacon) == _marks(said) and not self._lacking:
+        if self._ahead:
+            own = _marks(beacon)
+            self._ahead = {robot for robot in self._ahead if _has_more(self._heard[robot][0], own)}
+        if not self._ahead and _mission(beacon) == _mission(said):
             self._orders_ns = None
             return False
         if self._orders_ns is None:
@@ -193,7 +204,8 @@ class BeaconSchedule:
 
     def _has_news(self, beacon: Beacon, said: Beacon, near: Collection[int] | None) -> bool:
         """Whether others do not know all that `beacon` tells, who have heard `said`."""
-        stands = said.following and not beacon.following
+        # By an order all stand, who all have it.
+        stands = said.following and not beacon.following and _marks(beacon) == _marks(said)
         if self._is_missed or stands or self._tells_news(beacon, near):
             return True  # that it begins to follow all would say at once, and is seen by where it goes
         minds = self.minds
@@ -213,7 +225,8 @@ class BeaconSchedule:
         )
 
     def heard(self, beacon: Beacon, own: _Marks) -> None:
-        """Takes another's beacon: it may lack what this robot has told, or does not hear it any more.
+        """Takes another's beacon: it may have an order that this robot lacks, or not hear it any more. Of
+        what the other lacks nothing is said here: it is told (`agent.supervision.order_relay`).
 
         Args:
             own: which mission, stop and resume this robot has acknowledged.
@@ -222,16 +235,23 @@ class BeaconSchedule:
         before = self._heard.get(beacon.robot)
         if told != before:
             self._heard[beacon.robot] = told
-            if told[0] != own:
-                self._lacking.add(beacon.robot)
-            else:
-                self._lacking.discard(beacon.robot)
+            if _has_more(told[0], own):
+                self._ahead.add(beacon.robot)
             if told[1] and (self.minds is None or beacon.robot in self.minds):
                 self._is_missed = True
 
 
 def _marks(beacon: Beacon) -> _Marks:
     return beacon.mission_version, beacon.mission_tag, beacon.stop_version, beacon.resume_version
+
+
+def _mission(beacon: Beacon) -> tuple[int, int]:
+    return beacon.mission_version, beacon.mission_tag
+
+
+def _has_more(told: _Marks, own: _Marks) -> bool:
+    """Whether one that tells the first of these has an order which one that has the second lacks."""
+    return told[:2] > own[:2] or told[2] > own[2] or told[3] > own[3]
 
 
 def _is_off(beacon: Beacon, said: Beacon) -> bool:

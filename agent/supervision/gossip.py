@@ -3,7 +3,7 @@
 Any robot that has an order relays it: there is no coordinator. Who lacks it shows in beacons, or
 asks. Each says it on its own key (`agent.messages.key_expressions.relayed`), and mostly one does, since all
 other agents hear that. Who may hear this robot alone, such as its plant, is told in any case, and so is what
-it has just learnt; but of a large fleet, which learns a mission at once, only the first say that.
+it has just learnt; but of a large fleet, which learns a mission or a resume at once, only the first say that.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ class Gossip:
         self._wait_ns, self._is_shared = step_ns * (robot % STEPS), is_shared
         self._known = known
         self._due_ns: int | None = None
+        self._is_last_moment = False
+        """Whether that is for somebody who has lacked it for so long that what others say does not count."""
         self._lacked_ns: int | None = None
         self._lacked_last_ns = 0
         self._said_ns = -AGAIN_NS
@@ -65,24 +67,22 @@ class Gossip:
             self._lacked_ns = now_ns
         self._lacked_last_ns = now_ns
         if self._due_ns is None:
-            again_ns = min(self._said_ns + AGAIN_NS, self._lacked_ns + LACKING_NS)
-            self._due_ns = max(now_ns, again_ns) + self._wait_ns
+            last_ns = self._lacked_ns + LACKING_NS
+            from_ns = max(now_ns, min(self._said_ns + AGAIN_NS, last_ns))
+            self._due_ns, self._is_last_moment = from_ns + self._wait_ns, from_ns >= last_ns
 
     def asked(self, now_ns: int) -> None:
         """Somebody asks for it, who may not hear what others have said."""
         if self._due_ns is None:
-            self._due_ns = now_ns + self._wait_ns
+            self._due_ns, self._is_last_moment = now_ns + self._wait_ns, False
 
     def said(self, now_ns: int, mark: Mark) -> None:
         """Somebody has said as much of it, maybe this robot."""
         if mark < self._known():
             return
         self._said_ns = now_ns
-        if self._due_ns is not None and not self._is_last_moment(self._due_ns):
+        if not self._is_last_moment:
             self._due_ns = None
-
-    def _is_last_moment(self, due_ns: int) -> bool:
-        return self._lacked_ns is not None and due_ns >= self._lacked_ns + LACKING_NS + self._wait_ns
 
     def due(self, now_ns: int) -> bool:
         """Whether to say it now."""
@@ -90,4 +90,5 @@ class Gossip:
             return False
         self._said_ns, self._insists = now_ns, False
         self._due_ns = self._lacked_ns = None
+        self._is_last_moment = False
         return True

@@ -37,7 +37,7 @@ class OrderRelay:
         self._latch, self._choice = latch, missions
         step_ns = max(SPREAD_NS, fleet.period_ns) if fleet.is_large else SPREAD_NS
         self._missions = Gossip(robot, lambda: missions.mark, step_ns, is_shared=fleet.is_large)
-        self._orders = Gossip(robot, lambda: latch.mark)
+        self._orders = Gossip(robot, lambda: latch.mark, step_ns, is_shared=fleet.is_large)
         self._numbers = SequenceNumbers(fleet.period_ns)
         """Those of the own plant, if it has acknowledged the mission."""
         self._plant_told_ns = -AGAIN_NS
@@ -52,10 +52,13 @@ class OrderRelay:
         if not can_be(order.version, now_ns):
             return latch.accept_ahead(order, now_ns)
         reason = latch.accept_stop(order) if isinstance(order, Stop) else latch.accept_resume(order)
-        if latch.mark != before:
-            self._orders.insist()
+        changed = latch.mark != before
         if order.version >= latch.version:
             self._orders.said(now_ns, latch.mark)
+        if changed and isinstance(order, Stop):
+            self._orders.insist()
+        elif changed:  # who lacks a resume stands meanwhile
+            self._orders.learnt(now_ns)
         return reason
 
     def recall(self, order: Stop | Resume) -> None:

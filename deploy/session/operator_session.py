@@ -91,8 +91,14 @@ class OperatorSession(Session):
 
     def ask(self) -> None:
         """Asks the fleet for its last orders; waits until all was heard that its agents have acknowledged."""
-        self.until(self._informed, self.say_ask, ASK_S)
+        self.say_ask()
+        self.until(self._informed, self._ask_again, ASK_S)
         self._remind()
+
+    def _ask_again(self) -> None:
+        """An answer costs all robots of the fleet: it is asked again only where one is missing."""
+        if self.operator.behind:
+            self.say_ask()
 
     def _remind(self) -> None:
         """Says a stop again that is known here and in force, and that robots do not know: all who had kept it

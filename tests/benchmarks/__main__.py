@@ -47,6 +47,7 @@ NAMES: Final = (
     "many_hosts",
     "deaf_links",
     "many",
+    "commands",
     "radio",
     "radio_queue",
     "event_sending",

@@ -36,9 +36,10 @@ from deploy.processes.machine import measured
 from deploy.recording.recording import Recording
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks import fed_robot, router_curve
+from tests.benchmarks.commands import STOP_S, braked, command
 from tests.benchmarks.figures import Figure, Options, Result, number, spread, table
 from tests.benchmarks.local_runs import Found, Running, recorded, run_once, write_lattice
-from tests.benchmarks.processes import BenchmarkError, environment, handfast
+from tests.benchmarks.processes import BenchmarkError
 from tests.benchmarks.scaling import ring
 
 START: Final = 30, 10.0
@@ -60,7 +61,6 @@ VIRTUAL_AFTER_S: Final = 3.0
 HOG_ROBOTS: Final = 24
 HOG_AFTER_S, HOG_S, HOG_THEN_S = 8.0, 10.0, 12.0
 BACK_S: Final = 5.0
-STOP_S: Final = 1.0
 BEYOND_ROBOTS: Final = 45
 LIMIT_HZ: Final = (10.0, 5.0)
 LIMIT_TRIES: Final = 2
@@ -374,24 +374,14 @@ def _not_driving(recording: Recording, begin_s: float) -> Iterator[float]:
 
 def beyond(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], list[str]]:
     """A fleet of twice what the machine carries: what it does, and whether it can be stopped."""
-    stops: list[float] = []
+    stops: list[tuple[int, float]] = []
     told: list[str] = []
 
     def meanwhile(_: Running) -> None:
         time.sleep(0.5 * DRIVE_S)
-        begun = time.perf_counter()
-        done = subprocess.run(
-            handfast("stop", f"lattice{robots}"),
-            env=environment(),
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60.0,
-        )
-        told.append(f"handfast stop: {time.perf_counter() - begun:.1f} s, exit status {done.returncode}")
-        if brake := re.search(r"(\d+) robots brake, the last after (\d+) ms", done.stdout):
-            braked, last_ms = map(int, brake.groups())
-            stops.extend([last_ms / 1000.0] * braked)
+        took_s, status, said = command("stop", f"lattice{robots}")
+        told.append(f"handfast stop: {took_s:.1f} s, exit status {status}")
+        stops.append(braked(said))
 
     out = folder / "beyond"
     file = write_lattice(folder, robots, rate_hz)
@@ -403,11 +393,12 @@ def beyond(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], lis
         return figures, rows
     closest, verdict = found.metrics["min_distance_m"]["any"], found.metrics["verdict"]
     said = sum("too slow for its processes" in each for each in [*verdict["warnings"], *verdict["reasons"]])
+    took, last_s = stops[-1] if stops else (0, nan)
     figures += [
         Figure(f"{name}: closest pair", nan if closest is None else closest, "m", 0.22, at_most=False),
         Figure(f"{name}: says that the machine is too slow", float(said), "", 1, at_most=False),
-        Figure(f"{name}: a stop is taken by the last robot after", max(stops, default=nan), "s", STOP_S),
-        Figure(f"{name}: robots that took the stop", len(stops), f"of {robots}", robots, at_most=False),
+        Figure(f"{name}: a stop is taken by the last robot after", last_s, "s", STOP_S),
+        Figure(f"{name}: robots that took the stop", took, f"of {robots}", robots, at_most=False),
     ]
     return figures, [*rows, *told]
 

@@ -9,8 +9,9 @@ from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
-from agent.messages.codec import decode
-from agent.messages.types import Beacon
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Ask, Beacon, Mission, Resume, Stop
 from deploy.analysis.lattice import lattice as driving_lattice
 from deploy.simulate.simulation import Simulation
 
@@ -100,3 +101,36 @@ def test_nor_while_they_drive_and_they_do_not_speak_all_at_once() -> None:
     begun_ns = simulation.epoch_ns + 2 * NS_PER_S
     settled = Counter(each.time_ns for each in driving if begun_ns < each.time_ns < begun_ns + 2 * NS_PER_S)
     assert max(settled.values()) < 4.0 * settled.total() / (2.0 * fleet.fleet.rate_hz)
+
+
+def test_that_all_take_an_order_is_no_news_and_one_answer_of_many_is_enough() -> None:
+    """A resume once threw a fleet of 100 into overload: all told all of it at once, and again, and all
+    answered the operator who asked for the orders before it gave it."""
+    orders = "".join(
+        f'\n[[order]]\nat = {at}\nkind = "{kind}"\n' for at, kind in ((4.0, "stop"), (7.0, "resume"))
+    )
+    fleet = resolved(parse_fleet(driving_lattice("many", 60, duration_s=9.0) + orders, source="here"))
+    told: list[tuple[float, type]] = []
+    begun_ns = [0]
+
+    def sink(time_ns: int, key: str, payload: bytes) -> None:
+        if begun_ns[0] and key.endswith(("/beacon", "/told")):
+            told.append(((time_ns - begun_ns[0]) / NS_PER_S, type(decode(payload))))
+
+    def of(since_s: float, until_s: float, *kinds: type) -> int:
+        return sum(since_s <= at < until_s and kind in kinds for at, kind in told)
+
+    simulation = Simulation(fleet, sink)
+    assert simulation.start(9 * NS_PER_S)
+    begun_ns[0] = simulation.epoch_ns
+    simulation.run_until(simulation.epoch_ns + 6 * NS_PER_S)
+    asked_s = 6.0
+    simulation.publish(key_expressions.ask(fleet.fleet.name), encode(Ask(simulation.now_ns, "Ada")))
+    simulation.run_until(simulation.epoch_ns + 9 * NS_PER_S)
+    robots = len(fleet.ids)
+    assert of(4.0, 5.0, Stop) == robots, "a stop each tells at once, who hears nobody else may lack it"
+    assert of(4.0, 4.5, Beacon) <= robots // 2
+    assert 1 <= of(asked_s, asked_s + 0.9, Stop) <= robots // 4
+    assert 1 <= of(asked_s, asked_s + 0.9, Mission) <= robots // 4
+    assert 1 <= of(7.0, 8.0, Resume) <= robots // 4
+    assert of(7.0, 8.0, Beacon) <= 2 * robots

@@ -104,6 +104,37 @@ def test_only_the_link_of_a_rule_is_touched() -> None:
     assert [entry[:5] for entry in entries(to)] == [(1, HAND, 0, EPOCH, LOST)]
 
 
+@pytest.mark.parametrize(
+    "faults",
+    [
+        "",
+        'loss = "10%"',
+        '[[faults.rule]]\nlink = "1->2"\nloss = "10%"',
+        '[[faults.rule]]\nlink = "1->2"\ntopic = "all"\ndelay = "20ms"',
+        '[[faults.rule]]\nrobot = 2\ntopic = "all"\nloss = "10%"',
+        "[[faults.rule]]\nrobot = 1\nposition_noise_m = 0.1",
+    ],
+)
+def test_only_links_with_rules_are_made(faults: str) -> None:
+    """Of a large fleet each agent has hundreds, and a live rule comes to all of them at once."""
+    plan = FaultPlan(fleet(f"[faults]\n{faults}"))
+    sources = {"hand": [1, 3], "beacon": [1, 3], "wrench": [2], "state": [2]}
+    made = LinkEmulator(plan, 2, sources)
+    ruled = {
+        (topic, source)
+        for topic, robots in sources.items()
+        for source in robots
+        if not plan.rules_of_link(source, 2, topic).idle
+    }
+    assert {(TOPICS[topic], source) for topic, source in made._links} == ruled
+    assert {
+        (topic, source)
+        for topic, robots in sources.items()
+        for source in robots
+        if plan.is_ruled(source, 2, topic)
+    } == ruled
+
+
 def test_defaults_are_for_links_between_agents_alone() -> None:
     to = links("", "faults.loss=100%")
     state = message(0, robot=2)

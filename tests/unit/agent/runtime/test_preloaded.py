@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from agent.common.settings import entries
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import FleetError
+from agent.fleet.scenario import parse_scenario
 from agent.runtime import preloaded
 from deploy.console.data_files import FLEETS
 
@@ -30,6 +32,15 @@ def test_what_was_preloaded_is_taken_as_it_was(tmp_path: Path) -> None:
     assert fleet == load_fleet(path)
     Path(path).unlink()
     assert preloaded.fleet_of(path) is fleet
+
+
+def test_what_it_takes_to_read_a_live_rule_is_known_by_then(tmp_path: Path) -> None:
+    """All processes of a fleet read it at the same time."""
+    fleet = preloaded.preload(copied(tmp_path))
+    before = entries.cache_info().misses
+    rule = '[[faults.rule]]\nlink = "1->2"\ndelay = "20ms"\nat = 1.0\nfor = 2.0\n'
+    assert len(parse_scenario(rule, fleet.ids).rules) == 1
+    assert entries.cache_info().misses == before
 
 
 def test_what_the_command_line_sets_is_read_anew(tmp_path: Path) -> None:

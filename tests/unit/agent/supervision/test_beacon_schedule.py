@@ -104,26 +104,77 @@ def test_robots_that_begin_together_do_not_speak_together_for_ever(spread: bool)
         assert max(each) <= 9, each
 
 
+def test_that_it_has_a_stop_is_no_news_nor_that_it_stands_by_it() -> None:
+    """All get it at once, and would all say so; who lacks it shows that, and is told."""
+    for marks in ((3, 7, 5, -1), (3, 7, -1, 6)):
+        for follows in (True, False):
+            bench = quiet()
+            (at,) = bench.run(1.6, marks=marks, follows=follows)
+            assert 5.0 < at <= 6.4, "when it would have spoken anyway"
+
+
+def test_who_lacks_an_order_says_so_soon_and_once_more() -> None:
+    for marks in ((4, 0, -1, -1), (3, 9, -1, -1), (3, 7, 5, -1), (3, 7, -1, 6), (2, 9, 5, -1)):
+        bench = quiet(loses=False)
+        bench.schedule.heard(beacon(T0, robot=5, marks=marks), MARKS)
+        assert bench.run(1.0) == [5.0, 5.2], marks
+        bench.schedule.heard(beacon(T0, robot=5, marks=marks), MARKS)  # the same again: that it has said
+        assert bench.run(1.0) == [6.8]
+
+
+def test_of_what_another_lacks_it_says_nothing() -> None:
+    """That is told it, and once; in beacons a whole fleet would answer."""
+    for marks in ((2, 9, -1, -1), (3, 5, -1, -1), MARKS):
+        bench = quiet()
+        bench.schedule.heard(beacon(T0, robot=5, marks=marks), MARKS)
+        assert bench.run(1.0) == quiet().run(1.0)
+
+
 @pytest.mark.parametrize("spread", [True])
-def test_that_all_have_an_order_they_say_in_turn(spread: bool) -> None:
-    """All get it at once; it is one of them that who lacks it needs to hear."""
-    made = fleet(robots=100)
-    schedules = [BeaconSchedule(made, robot, 0) for robot in made.ids]
-    said: Counter[int] = Counter()
-    lacking = beacon(T0, robot=101, marks=(4, 0, -1, -1))
-    for tick in range(300):
-        now_ns = T0 + tick * made.period_ns
-        for schedule, robot in zip(schedules, made.ids, strict=True):
-            if tick in (200, 250):
-                schedule.heard(lacking._replace(mission_version=4 + tick), (*MARKS[:3], tick >= 200))
-            if schedule.is_turn(now_ns):
-                marks = (*MARKS[:3], tick >= 200)
-                made_now = schedule.timed(beacon(now_ns, robot=robot, marks=marks))
-                said[tick] += made_now is not None
-    for since in (200, 250):
-        first = [said[tick] for tick in range(since, since + 6)]
-        assert sum(first) >= 100
-        assert max(first[:2]) < 40, first
+def test_who_has_it_by_then_does_not_say_that_it_lacked_it(spread: bool) -> None:
+    """An order comes to all within some time, and beacons of the first are there before it."""
+    made = fleet(robots=60, beacon_interval_max_s=4.0)
+    later = (*MARKS[:2], 5, -1)
+    shown = {True: 0, False: 0}
+    for is_told in shown:
+        for robot in made.ids:
+            schedule = BeaconSchedule(made, robot, 0)
+            for k in range(100):
+                if k == 80:
+                    schedule.heard(beacon(T0, robot=robot + 100, marks=later), MARKS)
+                now_ns = T0 + k * made.period_ns
+                marks = later if is_told and k > 81 else MARKS
+                if schedule.is_turn(now_ns) and schedule.timed(beacon(now_ns, robot=robot, marks=marks)):
+                    shown[is_told] += 82 < k < 90
+    assert 2 * shown[True] < shown[False], shown
+
+
+@pytest.mark.parametrize("spread", [True])
+@pytest.mark.parametrize("lacks", [False, True])
+@pytest.mark.parametrize(("robots", "most_hz", "told_s"), [(60, 200, 0.6), (100, 200, 0.8), (200, 50, 4.2)])
+def test_of_a_mission_that_all_get_or_lack_no_more_tell_in_a_second_than_all_can_hear(
+    robots: int, most_hz: int, told_s: float, lacks: bool, spread: bool
+) -> None:
+    """Where all lack it, it is one of them that who has it needs to hear."""
+    made = fleet(robots=robots)
+    told: Counter[int] = Counter()
+    last_ns = 0
+    later = (MARKS[0] + 1, *MARKS[1:])
+    for robot in range(1, robots + 1):
+        schedule, has_said = BeaconSchedule(made, robot, 0), False
+        for k in range(160):  # it comes after 8 s
+            now_ns = T0 + k * made.period_ns
+            marks = MARKS if k < 80 or lacks else later
+            if k == 80 and lacks:
+                schedule.heard(beacon(T0, robot=robots + 1, marks=later), MARKS)
+            if schedule.is_turn(now_ns) and schedule.timed(beacon(now_ns, robot=robot, marks=marks)):
+                if k >= 80 and not has_said:
+                    told[k // 5] += 1
+                    last_ns = max(last_ns, now_ns - T0 - 8 * NS_PER_S)
+                has_said = k >= 80
+    assert sum(told.values()) == robots
+    assert max(told.values()) <= 0.5 * most_hz + 30, "with those that were due anyway"
+    assert last_ns <= told_s * NS_PER_S
 
 
 def test_a_small_fleet_says_it_at_every_turn_and_nothing_of_it() -> None:
@@ -168,6 +219,12 @@ def test_where_links_lose_nothing_what_is_new_is_said_once_more_and_then_as_seld
     assert bench.run(4.0, follows=False) == [5.0, 5.2, 6.8, 8.4]
 
 
+def test_where_links_lose_nothing_a_place_is_told_again_after_a_second() -> None:
+    """A fleet that sets out at once tells everybody of everybody; where it goes on to then is in that."""
+    bench = quiet(loses=False)
+    assert bench.run(4.0, place=(0.5, 0.0, 0.0, 0.0)) == [5.0, 6.0, 7.6]
+
+
 def test_others_carry_it_on_at_the_mean_velocity_by_the_law() -> None:
     asked: list[int] = []
 
@@ -210,7 +267,6 @@ def test_what_is_new_is_said_at_the_next_turn_and_again() -> None:
         {"place": (0.5, 0.0, 0.0, 0.0)},
         {"follows": False},
         {"marks": (4, 0, -1, -1)},
-        {"marks": (3, 7, 5, -1)},
         {"unheard": (4,)},
         {"silent": (row,)},
     ):
@@ -275,13 +331,12 @@ def test_who_is_heard_here_and_not_elsewhere_is_told_of_at_least_every_second() 
     assert len(times) < 15
 
 
-def test_who_lacks_what_was_said_hears_it_soon() -> None:
-    for other in (beacon(T0, robot=5, marks=(2, 0, -1, -1)), beacon(T0, robot=5, unheard=(2,))):
-        bench = quiet()
-        bench.schedule.heard(other, MARKS)
-        assert bench.run(1.0) == [5.0, 5.2, 5.6]
-        bench.schedule.heard(other, MARKS)  # it says the same again: there is nobody to hurry for
-        assert bench.run(1.0) == [6.4]
+def test_who_does_not_hear_it_hears_it_soon() -> None:
+    bench = quiet()
+    bench.schedule.heard(beacon(T0, robot=5, unheard=(2,)), MARKS)
+    assert bench.run(1.0) == [5.0, 5.2, 5.6]
+    bench.schedule.heard(beacon(T0, robot=5, unheard=(2,)), MARKS)  # it says the same: nobody hurries for it
+    assert bench.run(1.0) == [6.4]
 
 
 def test_what_can_wait_hurries_no_oftener_than_its_share() -> None:
@@ -352,29 +407,6 @@ def test_what_all_hurried_for_at_once_they_do_not_hurry_for_at_once_again(spread
     assert hurried[0] == 60 if quiet_s else hurried[0] <= 2 * HURRIES_HZ
     assert max(hurried[second] for second in range(1, 40)) <= 2 * HURRIES_HZ
     assert sum(hurried[second] for second in range(1, 40)) <= 1.5 * 39 * HURRIES_HZ
-
-
-@pytest.mark.parametrize("spread", [True])
-@pytest.mark.parametrize(("robots", "most_hz", "told_s"), [(60, 200, 0.6), (100, 200, 0.8), (200, 50, 4.2)])
-def test_an_order_is_told_by_no_more_robots_in_a_second_than_all_can_hear(
-    robots: int, most_hz: int, told_s: float, spread: bool
-) -> None:
-    made = fleet(robots=robots)
-    told: Counter[int] = Counter()
-    last_ns = 0
-    for robot in range(1, robots + 1):
-        schedule, knows = BeaconSchedule(made, robot, 0), False
-        for k in range(160):  # it comes after 8 s
-            now_ns = T0 + k * made.period_ns
-            marks = MARKS if k < 80 else (MARKS[0] + 1, *MARKS[1:])
-            if schedule.is_turn(now_ns) and schedule.timed(beacon(now_ns, robot=robot, marks=marks)):
-                if k >= 80 and not knows:
-                    told[k // 5] += 1
-                    last_ns = max(last_ns, now_ns - T0 - 8 * NS_PER_S)
-                knows = k >= 80
-    assert sum(told.values()) == robots
-    assert max(told.values()) <= 0.5 * most_hz + 30, "with those that were due anyway"
-    assert last_ns <= told_s * NS_PER_S
 
 
 def test_who_wants_no_lower_rate_than_others_has_no_news_of_it() -> None:

@@ -116,6 +116,17 @@ def test_who_lacked_it_long_ago_and_not_since_does_not_make_the_next_one_urgent(
     assert teller.says(later, later + NS_PER_S) == [later - PERIOD + AGAIN_NS + SPREAD_NS]
 
 
+def test_who_lacked_it_and_was_told_by_another_does_not_have_all_answer_the_next_that_asks():
+    """Of a fleet of 100 all 100 answered, who had all heard an old beacon of somebody when they stopped."""
+    teller = Teller(robot=1)
+    teller.gossip.lacks(T0, (4, 0))
+    teller.gossip.said(T0 + PERIOD, (5, 0))
+    later = T0 + 10 * NS_PER_S
+    teller.gossip.asked(later)
+    teller.gossip.said(later + PERIOD // 2, (5, 0))
+    assert teller.says(later, later + NS_PER_S) == []
+
+
 def test_an_older_one_that_another_says_is_not_it():
     teller = Teller()
     teller.gossip.lacks(T0, (3, 0))
