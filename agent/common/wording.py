@@ -75,7 +75,9 @@ def example(hint: Any, said: Setting, default: object = None) -> str:
         return show(args[0])
     if origin is tuple:
         items = args[:1] if args[-1] is Ellipsis else args
-        return "[" + ", ".join(example(item, said) for item in items) + "]"
+        # Not the same number twice: as a pair of robots that is refused.
+        parts = [str(n) if item is int else example(item, said) for n, item in enumerate(items, 1)]
+        return "[" + ", ".join(parts) + "]"
     return {float: "1.0", int: "1", bool: "true"}.get(hint, '"text"')
 
 

@@ -150,7 +150,7 @@ def test_every_problem_at_once_and_the_good_rest() -> None:
         ("place", [1], "must be an array of 2 numbers (m), got 1: [1]"),
         ("place", 1, "must be an array of 2 numbers (m), such as [1.0, 1.0], got 1"),
         ("gaps_m", True, "must be a number (m)"),
-        ("pairs", [[1, 2]] * 2 + [7], "must be an array of 2 whole numbers, such as [1, 1], got 7"),
+        ("pairs", [[1, 2]] * 2 + [7], "must be an array of 2 whole numbers, such as [1, 2], got 7"),
     ],
 )
 def test_messages_name_the_value_and_what_would_be_right(key: str, raw: object, message: str) -> None:
