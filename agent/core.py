@@ -26,7 +26,7 @@ from agent.formation.mission_choice import MissionChoice, MissionRefused
 from agent.links.ingress import Accept, Ingress, OnAir
 from agent.links.radio import Radio
 from agent.messages import key_expressions
-from agent.messages.codec import decode, encode, mark_of
+from agent.messages.codec import decode, encode
 from agent.messages.types import (
     FLOAT_MAX,
     Ask,
@@ -268,7 +268,7 @@ class Agent:
 
     def _accept_operators_mission(self, mission: Mission, now_ns: int) -> str | None:
         reason = self._accept_mission(mission, now_ns)
-        if reason is None and mark_of(mission) == self._missions.mark:
+        if reason is None and self._missions.holds(mission):
             self._situation.may_go_on = True
         return reason
 

@@ -25,7 +25,7 @@ BEACONS_HZ: Final = 25
 BEACON_HORIZONS: Final = 2.0
 """Two beacons of one robot are at most so many prediction horizons apart: who tells that it will be silent is
 given up as much later."""
-ORDERS_HZ: Final = 200
+ORDERS_HZ: Final = 100
 """So many a second of all robots of such a fleet say that they lack an order that another has, where all do:
 that one needs to hear it from one of them. And so many begin to say where they are."""
 ORDERS_ROBOTS: Final = 100

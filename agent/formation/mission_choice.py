@@ -5,7 +5,7 @@ Agents, plants and operators all decide here: whoever has heard the same mission
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
@@ -43,6 +43,8 @@ class MissionChoice:
         mark: tells it from every other one, (0, 0) before the first.
     """
 
+    _planned: ClassVar[tuple[Mission, Fleet, Plan] | None] = None
+
     def __init__(self, fleet: Fleet, geometry: Geometry | None) -> None:
         self._fleet, self._geometry = fleet, geometry
         self.digest: Final = digest(fleet)
@@ -53,6 +55,10 @@ class MissionChoice:
     def is_ours(self, mission: Mission) -> bool:
         """Whether it is for this fleet file."""
         return mission.digest == self.digest
+
+    def holds(self, mission: Mission) -> bool:
+        """Whether it is the one that holds: most that come are, as they are said until all have them."""
+        return mission is self.mission or mark_of(mission) == self.mark
 
     def take(self, mission: Mission) -> Plan | None:
         """Takes a mission; its plan if it holds from now on, None if the one before does.
@@ -68,9 +74,18 @@ class MissionChoice:
                 f"the mission is for another fleet file: its digest is {mission.digest[:16]}, "
                 f"this agent's is {self.digest}",
             )
+        plan = self._plan(mission)
+        self.mission, self.plan, self.mark = mission, plan, mark_of(mission)
+        return plan
+
+    def _plan(self, mission: Mission) -> Plan:
+        """Its plan: that which another robot of this process has made of the same message, if one has."""
+        planned = MissionChoice._planned
+        if planned is not None and planned[0] is mission and planned[1] is self._fleet:
+            return planned[2]
         try:
             plan = plan_of(mission, self._fleet, self._geometry)
         except PlanError as error:
             raise MissionRefused("mission", f"the mission cannot be driven: {error}") from None
-        self.mission, self.plan, self.mark = mission, plan, mark_of(mission)
+        MissionChoice._planned = mission, self._fleet, plan
         return plan

@@ -147,7 +147,9 @@ class BeaconSchedule:
             self._hurried_ns, self._is_missed = now_ns, False
             timer.changed()
         if said is not None and self._tells_orders(beacon, said):
-            timer.changed(self._again_ns)
+            # That it has a mission the next ones tell as well; that it lacks something nobody else does.
+            sure_ns = max(self._again_ns, AGAIN_SURE_NS) if self._ahead else timer.most_ns
+            timer.changed(self._again_ns if self.loses else sure_ns)
         if not timer.is_due(now_ns, max(self.tick_ns, timer.least_ns)):
             return None
         if completed is not None:

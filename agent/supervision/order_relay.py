@@ -68,7 +68,8 @@ class OrderRelay:
 
     def heard(self, now_ns: int, mission: Mission) -> None:
         """Somebody has said a mission that is for this fleet, newer or not."""
-        self._missions.said(now_ns, mark_of(mission))
+        choice = self._choice
+        self._missions.said(now_ns, choice.mark if choice.holds(mission) else mark_of(mission))
 
     def took(self, mission: Mission, now_ns: int) -> None:
         """This is the mission from now on. In a large fleet not all of them tell all of them."""

@@ -20,7 +20,8 @@ from tests.benchmarks.processes import environment, handfast
 
 FLEETS: Final = ((45, 10.0), (60, 10.0), (100, 5.0))
 FLEETS_QUICK: Final = FLEETS[1:2]
-BEFORE_S, STOPPED_S, RESUMED_S, FAULT_S, AFTER_S = 8.0, 5.0, 8.0, 2.0, 4.0
+BEFORE_S, STOPPED_S, RESUMED_S, FAULT_S, RESHAPED_S, AFTER_S = 8.0, 5.0, 8.0, 5.0, 7.0, 8.0
+RULED_S: Final = 2.0
 STOP_S: Final = 1.0
 MISSED: Final = 0.001
 COMMAND_S: Final = 60.0
@@ -46,8 +47,8 @@ def braked(said: str) -> tuple[int, float]:
 
 
 def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], list[list[str]]]:
-    """Figures, and a row for each command, of a drive in which a fleet is stopped, may drive again, and has
-    one link lose messages for a while."""
+    """Figures, and a row for each command, of a drive in which a fleet is stopped, may drive again, has one
+    link lose messages for a while, is made larger, and is left by one robot."""
     name = f"lattice{robots}"
     given: list[tuple[str, float, float, int, str]] = []
 
@@ -56,9 +57,11 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
             (("stop", name), STOPPED_S),
             (("resume", name), RESUMED_S),
             (
-                ("faults", "set", name, "--link", "1->2", "--loss", "10%", "--for", f"{FAULT_S:g}s"),
-                FAULT_S + AFTER_S,
+                ("faults", "set", name, "--link", "1->2", "--loss", "10%", "--for", f"{RULED_S:g}s"),
+                FAULT_S,
             ),
+            (("reshape", name, "--scale", "1.1"), RESHAPED_S),
+            (("leave", name, "--robot", f"{robots}"), AFTER_S),
         ):
             time.sleep(BEFORE_S if not given else 0.0)
             at_s = time.time()
@@ -66,13 +69,13 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
             time.sleep(max(0.0, at_s + then_s - time.time()))
 
     out = folder / name
-    duration_s = BEFORE_S + STOPPED_S + RESUMED_S + FAULT_S + AFTER_S + 1.0
+    duration_s = BEFORE_S + STOPPED_S + RESUMED_S + FAULT_S + RESHAPED_S + AFTER_S + 1.0
     file = write_lattice(folder, robots, rate_hz)
     found = run_once(file, out, duration_s, "--no-check", meanwhile=meanwhile)
     what = f"{robots} at {rate_hz:g} Hz"
     recording = recorded(out)
-    if recording is None or recording.epoch_ns is None or len(given) < 3:
-        return [Figure(f"{what}: drives and takes three commands", 0.0, "", 1, at_most=False)], []
+    if recording is None or recording.epoch_ns is None or len(given) < 5:
+        return [Figure(f"{what}: drives and takes five commands", 0.0, "", 1, at_most=False)], []
     epoch_s = recording.epoch_ns / 1e9
     ends_s = [at_s - epoch_s for _, at_s, *_ in given[1:]] + [recording.end_s]
     rows = [

@@ -7,7 +7,7 @@ import pytest
 from agent.fleet.loading import digest
 from agent.formation.geometry import resolve, resolved
 from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.messages.codec import tag
+from agent.messages.codec import decode, encode, tag
 from agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
@@ -60,3 +60,25 @@ def test_a_resolved_fleet_needs_no_geometry():
     assert one is not None
     assert other is not None
     assert (one.members, one.offsets, one.edges) == (other.members, other.offsets, other.edges)
+
+
+def test_robots_of_one_process_make_one_plan_of_a_message_that_they_all_hear():
+    """A process of 100 bodies would else stand for a tick."""
+    geometry = resolve(FLEET)
+    one, other = MissionChoice(FLEET, geometry), MissionChoice(FLEET, geometry)
+    assert one.take(FIRST) is other.take(FIRST)
+    assert one.take(FIRST) is None
+    elsewhere = square()  # another fleet's file may differ
+    assert MissionChoice(elsewhere, resolve(elsewhere)).take(FIRST) is not one.plan
+    alike = decode(encode(FIRST))
+    assert isinstance(alike, Mission)
+    assert MissionChoice(FLEET, geometry).take(alike) is not one.plan
+
+
+def test_which_one_holds_is_told_by_what_is_in_it():
+    made = choice()
+    assert not made.holds(FIRST)
+    made.take(FIRST)
+    assert made.holds(FIRST)
+    assert made.holds(FIRST._replace(time_ns=FIRST.time_ns + 1)), "only said once more"
+    assert not made.holds(FIRST._replace(duration_ns=5 * S))

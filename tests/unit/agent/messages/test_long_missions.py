@@ -1,0 +1,42 @@
+"""A mission of a large fleet, which all hear again and again until all have it."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.common.time import NS_PER_S
+from agent.messages.codec import LONG, decode, encode, mark_of, newer
+from agent.messages.types import Mission
+from agent.messages.validation import Malformed
+
+MISSION = Mission(
+    1, 10**18, 10**18, 60 * NS_PER_S, "ab" * 32, robots=tuple((k, float(k), 0.5) for k in range(1, 61))
+)
+
+
+def test_the_same_bytes_are_read_once() -> None:
+    payload = encode(MISSION)
+    assert len(payload) > LONG
+    first = decode(payload)
+    assert first == MISSION
+    assert decode(bytes(bytearray(payload))) is first
+    assert decode(encode(MISSION._replace(version=2))) == MISSION._replace(version=2)
+
+
+def test_what_is_damaged_is_found_each_time() -> None:
+    payload = bytearray(encode(MISSION))
+    decode(bytes(payload))
+    payload[len(payload) // 2] ^= 1
+    for _ in range(2):
+        with pytest.raises(Malformed):
+            decode(bytes(payload))
+
+
+def test_whether_it_is_newer_is_known_by_its_content() -> None:
+    assert not newer(MISSION, MISSION)
+    said_again = MISSION._replace(time_ns=MISSION.time_ns + 1)
+    assert not newer(said_again, MISSION)
+    assert mark_of(said_again) == mark_of(MISSION)
+    assert newer(MISSION._replace(version=2), MISSION)
+    other = MISSION._replace(duration_ns=1)
+    assert newer(other, MISSION) != newer(MISSION, other)
