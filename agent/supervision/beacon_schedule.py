@@ -41,8 +41,8 @@ GROWTH_SURE: Final = 64
 said: as in RFC 6206 where links lose messages, else the longest at once. One that is lost is said again
 anyway, and of a crowd that comes together these were most of what each heard."""
 AGAIN_SURE_NS: Final = NS_PER_S
-"""So much later it says once more where it is, where links lose nothing; what it tells meanwhile takes its
-place. A fleet that sets out at once would else say most things twice."""
+"""So much later it says once more where it is, or that it lacks an order, where links lose nothing; what it
+tells meanwhile takes its place. A fleet that sets out at once would else say most things twice."""
 ONWARD: Final = 0.75
 """For so much of the time to the next beacon is the mean velocity told: what others allow for grows with its
 age, and is least at first."""

@@ -1,5 +1,5 @@
 """What operators' commands do to a large fleet that drives: is a stop taken soon, and does the fleet keep its
-rate while it is stopped, resumed, and has a link made worse. What all robots tell of such a thing all hear.
+rate while it is stopped, resumed, reshaped, left, and has a link made worse. What all tell all hear.
 """
 
 from __future__ import annotations
