@@ -44,7 +44,7 @@ class MissionChoice:
     """
 
     _planned: ClassVar[tuple[Mission, Fleet, Plan] | None] = None
-    """The plan that was made last in this process, and of what: by identity, so that it is of nothing else."""
+    """The plan made last in this process, and of what: by identity, so that it is of nothing else."""
 
     def __init__(self, fleet: Fleet, geometry: Geometry | None) -> None:
         self._fleet, self._geometry = fleet, geometry
