@@ -382,6 +382,7 @@ class Agent:
         shown, doubt = self._own_hand.shown, self._own_hand.doubt
         if shown is not None:
             out += self._outbox.beacon(now_ns, shown, doubt, following=self._follows)
+            self._controller.told(now_ns, shown, self._outbox.told_mark)
         self._relay.look(now_ns, situation.plant, situation.unmoved_ns)
         out += self._relay.due(now_ns)
         stopping = situation.ending or self.state in (State.STOPPING, State.STOPPED)

@@ -131,6 +131,7 @@ class Controller:
         self.proximity: Final = Proximity(fleet, robot, self.peers)
         self._references: dict[Mark, Reference] = {}
         self.mark: Mark = 0, 0
+        self._told_mark: Mark = 0, 0
         self.right_of_way: Final = RightOfWay(fleet, robot, self.peers, self.reference, self._references)
         keep_m = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
         # As seen from a place that moves as fast as robots may.
@@ -174,6 +175,12 @@ class Controller:
             del self._references[next(iter(self._references))]
         self.peers.forecast.epoch_ns = plan.mission.epoch_ns
         self.peers.remove(plan.mission.removed)
+
+    def told(self, now_ns: int, here: hand.Hand, mark: Mark) -> None:
+        """A beacon is on its way that tells this mission: what others do by it they do from now on."""
+        if mark != self._told_mark:
+            self._told_mark = mark
+            self.right_of_way.told(now_ns, here, mark)
 
     def keep_pace(self, period_ns: int, share: float) -> None:
         """From now on what it asks for is held for `period_ns`, the plant's period or a multiple of it, and
@@ -248,7 +255,7 @@ class Controller:
         # While a large fleet starts, or its machines have too much to do, many are not heard: where they
         # might drive is worked out once it matters.
         passing = bool(detour.round)
-        self.right_of_way.look(now_ns, here, self.mark, rests=self.rests, passing=passing)
+        self.right_of_way.look(now_ns, here, rests=self.rests, passing=passing)
         self.caution.look(now_ns, here, (*(peer for _, peer in self.edges), *self.proximity.close))
         return self.proximity.look(now_ns, here, neighbours, rests=self.rests)
 

@@ -57,8 +57,8 @@ class KeepOut(NamedTuple):
 
 
 class _Parting(NamedTuple):
-    """When two robots lost each other: where this one was, and, where the other one is heard still, by which
-    mission this one was to drive then, and the other's message."""
+    """When two robots lost each other: where this one was, and, where the other one is heard still, which
+    mission this one had told, and the other's message."""
 
     here: HandState
     mark: Mark | None = None
@@ -113,6 +113,7 @@ class RightOfWay:
             3 * (fleet.beacon_rounds_max - fleet.beacon_rounds) * fleet.period_ns
         )  # and so much is forgiven
         remembered_s = horizon_s + REMEMBERED_S + rest_ns / NS_PER_S
+        self._mark: Mark = 0, 0
         self._own: deque[_Parting] = deque(maxlen=ceil(remembered_s * LOOKS_PER_S))
         self._gaining_ns = GAINED_NS + rest_ns
         self._then: dict[int, _Parting] = {}  # by robot: when it was heard last, or heard this one
@@ -125,19 +126,24 @@ class RightOfWay:
         self.keep_out: tuple[KeepOut, ...] = ()
         self.keep_in: tuple[tuple[Run, ...], ...] = ()
 
-    def look(
-        self, now_ns: int, here: Hand, mark: Mark, *, rests: bool = False, passing: bool = False
-    ) -> None:
+    def told(self, now_ns: int, here: Hand, mark: Mark) -> None:
+        """From now on others have a beacon that tells this mission, and go by that."""
+        self._mark = mark
+        self._own.append(self._parting(now_ns, here))
+
+    def _parting(self, now_ns: int, here: Hand) -> _Parting:
+        place = here.x, here.y, here.vx, here.vy
+        return _Parting(HandState.placed(self._robot, 0, now_ns, True, 0, place), self._mark)
+
+    def look(self, now_ns: int, here: Hand, *, rests: bool = False, passing: bool = False) -> None:
         """Finds out what is to be heeded from the tick `now_ns` on, at which the own hand is `here`.
 
         Args:
-            mark: of the mission that it has acknowledged.
             rests: it does not drive for a while, and need not know yet.
             passing: it goes round something, and so leaves its own lane where nobody may be for whom it has
                 to keep to that.
         """
-        place = here.x, here.y, here.vx, here.vy
-        self._own.append(_Parting(HandState.placed(self._robot, 0, now_ns, True, 0, place), mark))
+        self._own.append(self._parting(now_ns, here))
         late_ns = now_ns - self._horizon_ns
         lost = [  # `Peer.late_ns` is more than the horizon: of many robots, ten times a second
             peer

@@ -53,21 +53,25 @@ def avoidance_distance(
     if given is not None:
         return given
     distance = 0.5 * (safe + min(edges.values())) if edges else _ALONE * safe
-    return max(min(distance, _SHARE * least_apart(edges, offsets)), _LEAST * safe)
+    least = least_apart(edges, offsets, (distance / _SHARE) * (1.0 + 1e-9))  # more would change nothing
+    return max(min(distance, _SHARE * least), _LEAST * safe)
 
 
-def least_apart(edges: Mapping[tuple[int, int], float], offsets: Mapping[int, tuple[float, float]]) -> float:
-    """Least distance between the places of two members without an edge; inf when there are none."""
-    least = inf
+def least_apart(
+    edges: Mapping[tuple[int, int], float], offsets: Mapping[int, tuple[float, float]], within: float = inf
+) -> float:
+    """Least distance between the places of two members without an edge; inf when none are nearer than
+    `within`."""
+    least = within
     # From left to right, so that of many robots only those are compared that could be nearer.
     in_order = sorted((x, y, robot) for robot, (x, y) in offsets.items())
     for k, (xi, yi, i) in enumerate(in_order, 1):
         for xj, yj, j in islice(in_order, k, None):
             if xj - xi >= least:
                 break
-            if (i, j) not in edges and (j, i) not in edges:
+            if abs(yi - yj) < least and (i, j) not in edges and (j, i) not in edges:
                 least = min(least, hypot(xi - xj, yi - yj))
-    return least
+    return least if least < within else inf
 
 
 def speed_max(fleet: Fleet) -> float:

@@ -141,7 +141,9 @@ def _resolved_formation(fleet: Fleet) -> Formation:
 def _plan(
     mission: Mission, fleet: Fleet, members: tuple[int, ...], offsets: Mapping[int, Vector], edges: Edges
 ) -> Plan:
-    section = _section(mission.trajectory) if mission.trajectory else fleet.trajectory
+    # Most changes leave the trajectory as it is: of a large fleet all would check it in one moment.
+    is_files = not mission.trajectory or mission.trajectory == trajectory_parts(fleet.trajectory)
+    section = fleet.trajectory if is_files else _section(mission.trajectory)
     try:
         trajectory = make_trajectory(section)
     except ValueError as error:
@@ -204,27 +206,41 @@ def _closer(offsets: Mapping[int, Vector], least: float) -> tuple[int, int, floa
 def _given_edges(mission: Mission, offsets: Mapping[int, Vector], safe: float) -> Edges:
     edges: Edges = {}
     for i, j, distance in mission.edges:
-        name = f"the edge [{i}, {j}]"
-        for robot in (i, j):
-            if robot not in offsets:
-                raise PlanError(f"{name} names robot {robot}, which has no place in the formation")
-        if i == j:
-            raise PlanError(f"{name} joins a robot to itself")
-        if (min(i, j), max(i, j)) in edges:
-            raise PlanError(f"{name} is given twice")
-        if not safe < distance <= FAR_M:
-            raise PlanError(
-                f"{name} is to be {distance:.4g} m long: it must be longer than the safe distance of "
-                f"{safe:.4g} m, and at most {FAR_M:g} m"
-            )
-        if offsets[i] == offsets[j]:
-            raise PlanError(f"{name} joins two robots with the same place, {show(offsets[i])}")
-        edges[min(i, j), max(i, j)] = distance
+        ends = (i, j) if i < j else (j, i)
+        # All robots ask this of all edges in the moment in which a mission comes.
+        if (
+            i not in offsets
+            or j not in offsets
+            or i == j
+            or ends in edges
+            or not safe < distance <= FAR_M
+            or offsets[i] == offsets[j]
+        ):
+            raise PlanError(_wrong_edge(i, j, distance, offsets, safe))
+        edges[ends] = distance
     degrees = Counter(end for edge in edges for end in edge)
     for robot, degree in degrees.items():
         if degree > NEIGHBOURS_MAX:
             raise PlanError(f"robot {robot} has {degree} edges: it can have {NEIGHBOURS_MAX} at most")
     return edges
+
+
+def _wrong_edge(i: int, j: int, distance: float, offsets: Mapping[int, Vector], safe: float) -> str:
+    """What is wrong with an edge that is refused."""
+    name = f"the edge [{i}, {j}]"
+    for robot in (i, j):
+        if robot not in offsets:
+            return f"{name} names robot {robot}, which has no place in the formation"
+    if i == j:
+        return f"{name} joins a robot to itself"
+    if not safe < distance <= FAR_M:
+        return (
+            f"{name} is to be {distance:.4g} m long: it must be longer than the safe distance of "
+            f"{safe:.4g} m, and at most {FAR_M:g} m"
+        )
+    if offsets[i] == offsets[j]:
+        return f"{name} joins two robots with the same place, {show(offsets[i])}"
+    return f"{name} is given twice"
 
 
 def _section(given: Sequence[tuple[str, Any]]) -> TrajectorySection:

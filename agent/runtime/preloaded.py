@@ -9,9 +9,12 @@ from typing import Final
 from agent.fleet.loading import digest, load_fleet
 from agent.fleet.model import Fleet
 from agent.fleet.scenario import parse_scenario
+from agent.formation.mission_plan import trajectory_parts, written_plan
+from agent.messages.codec import decode, encode
+from agent.messages.types import Mission, Place
 
 RULE: Final = '[[faults.rule]]\nloss = "1%"\n'
-"""Any rule: what it takes to read the first of them is remembered, and a live one is read by all at once."""
+"""Any rule."""
 _fleets: Final[dict[str, Fleet]] = {}
 _on_start: Final[list[Callable[[], None]]] = []
 
@@ -29,9 +32,20 @@ def preload(path: str) -> Fleet:
         if robot.kind.body:
             import_module(robot.kind.body.partition(":")[0])
     digest(fleet)  # which it remembers
-    parse_scenario(RULE, fleet.ids)
+    _read_first(fleet)
     _fleets[path] = fleet
     return fleet
+
+
+def _read_first(fleet: Fleet) -> None:
+    """Reads a rule and a mission. What it takes to read the first of them is remembered, and one that is
+    given in a drive is read by all at once."""
+    parse_scenario(RULE, fleet.ids)
+    parts = trajectory_parts(fleet.trajectory)[::-1]  # as it stands in the file nobody would read it
+    mission = Mission(1, 0, 0, 1, digest(fleet), trajectory=parts, robots=(Place(fleet.ids[0], 0.0, 0.0),))
+    read = decode(encode(mission))
+    assert isinstance(read, Mission)
+    written_plan(read, fleet)
 
 
 def fleet_of(path: str, overrides: Sequence[str] = (), law: str | None = None) -> Fleet:

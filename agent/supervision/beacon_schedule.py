@@ -3,13 +3,13 @@
 In a small fleet it does so at every turn. In a large one that would be most of what everybody hears, and
 grow with the fleet. There others carry a robot forward at the velocity that it told (dead reckoning, as in
 IEEE 1278.1), and its next beacon comes when it is elsewhere by more than they allow for (U2), has something
-else to tell, such as another mission or that it lacks an order; then once more, in case that was lost; and
+else to tell, such as that it lacks an order; then once more, in case that was lost; and
 after `Fleet.beacon_rounds_max`, or `WAY_M`, at the latest. Each beacon says until when the next one comes.
 The velocity that is told is the mean one at which the law takes the robot on. One that is held up does not go
 where the law would have it: where that was wrong, and the velocity that it had at the last beacon was nearer,
 it tells the velocity that it has.
-What happens to all at once they tell in turn, and again each at its own times: that they have a mission. That
-they are stopped and may drive on is no news, as all hear that.
+What happens to all at once they tell in turn, and again each at its own times. That it has an order is no
+news, as all hear that; and what others do by what it told last it knows (`agent.control.right_of_way`).
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ class BeaconSchedule:
         all_ns = min(round(all_s * NS_PER_S), most_ns) // least_ns * least_ns
         self._again_ns: Final = all_ns
         self._orders_pause_ns: Final = round(shares[0] * all_ns / least_ns) * least_ns
-        self._orders_ns: int | None = None
-        """Since when it has something to tell of its orders."""
+        self._lacks_ns: int | None = None
+        """Since when it lacks an order that another has."""
         self._ahead: set[int] = set()
         """Those that have told since it spoke last that they have one which it had not."""
         self._turn: int | None = None
@@ -146,10 +146,8 @@ class BeaconSchedule:
         elif hurries and self._has_news(beacon, said, None if near is None else near()):
             self._hurried_ns, self._is_missed = now_ns, False
             timer.changed()
-        if said is not None and self._tells_orders(beacon, said):
-            # That it has a mission the next ones tell as well; that it lacks something nobody else does.
-            sure_ns = max(self._again_ns, AGAIN_SURE_NS) if self._ahead else timer.most_ns
-            timer.changed(self._again_ns if self.loses else sure_ns)
+        if self._ahead and self._shows_what_it_lacks(beacon):
+            timer.changed(self._again_ns if self.loses else max(self._again_ns, AGAIN_SURE_NS))
         if not timer.is_due(now_ns, max(self.tick_ns, timer.least_ns)):
             return None
         if completed is not None:
@@ -164,7 +162,7 @@ class BeaconSchedule:
         next_ns = max(self.tick_ns, timer.said(now_ns, most_ns=most_ns, growth=growth))
         self._said = beacon
         self._ahead.clear()
-        self._orders_ns = None
+        self._lacks_ns = None
         if len(beacon.silent) < SILENT_MAX:
             self._rows.clear()
         self._rows.update((row.robot, row) for row in beacon.silent)
@@ -187,22 +185,20 @@ class BeaconSchedule:
                 return beacon
         return beacon._replace(vx=by_law[0], vy=by_law[1])
 
-    def _tells_orders(self, beacon: Beacon, said: Beacon) -> bool:
-        """Whether it drives by another mission than `said` tells, which who loses it has to know
-        (`agent.control.right_of_way`), or lacks an order that another has, and it is its turn to say so.
+    def _shows_what_it_lacks(self, beacon: Beacon) -> bool:
+        """Whether it lacks an order that another has, and it is its turn to say so.
 
-        All take a mission at once, and all but one may lack an order: all would say so at once. Who hears
-        that one is lacked tells it, so the first is enough.
+        What one has all may lack, and all would say so at once. Who hears that one is lacked tells it, so the
+        first is enough.
         """
-        if self._ahead:
-            own = _marks(beacon)
-            self._ahead = {robot for robot in self._ahead if _has_more(self._heard[robot][0], own)}
-        if not self._ahead and _mission(beacon) == _mission(said):
-            self._orders_ns = None
+        own = _marks(beacon)
+        self._ahead = {robot for robot in self._ahead if _has_more(self._heard[robot][0], own)}
+        if not self._ahead:
+            self._lacks_ns = None
             return False
-        if self._orders_ns is None:
-            self._orders_ns = beacon.time_ns
-        return beacon.time_ns - self._orders_ns >= self._orders_pause_ns
+        if self._lacks_ns is None:
+            self._lacks_ns = beacon.time_ns
+        return beacon.time_ns - self._lacks_ns >= self._orders_pause_ns
 
     def _has_news(self, beacon: Beacon, said: Beacon, near: Collection[int] | None) -> bool:
         """Whether others do not know all that `beacon` tells, who have heard `said`."""
@@ -245,10 +241,6 @@ class BeaconSchedule:
 
 def _marks(beacon: Beacon) -> _Marks:
     return beacon.mission_version, beacon.mission_tag, beacon.stop_version, beacon.resume_version
-
-
-def _mission(beacon: Beacon) -> tuple[int, int]:
-    return beacon.mission_version, beacon.mission_tag
 
 
 def _has_more(told: _Marks, own: _Marks) -> bool:

@@ -12,7 +12,7 @@ from agent.control.peers.peers import Peers
 from agent.fleet.model import Fleet
 from agent.formation.mission_choice import MissionChoice
 from agent.messages import key_expressions
-from agent.messages.codec import encode
+from agent.messages.codec import Mark, encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     HEARD_ROUNDS,
@@ -41,6 +41,7 @@ class Outbox:
         overload: by how many steps it wants the rate of all to fall; others_overload: the most that others
             want.
         stood_ms: for how much of the last seconds its process did not run.
+        told_mark: of the mission that its beacon told last.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class Outbox:
         self._clock: tuple[int, ...] = ()
         self._period_ns, self._next_ms = period_ns, 0
         self.overload = self.others_overload = self.stood_ms = 0
+        self.told_mark: Mark = 0, 0
         self.keys: Final = (self._key_wrench, self._key_hand, self._key_beacon)
 
     def runs_by(self, clock: MachineClock) -> None:
@@ -152,7 +154,10 @@ class Outbox:
             self._with_silent,
             lambda: self._peers.rows.near,
         )
-        return [] if message is None else [(self._key_beacon, encode(message))]
+        if message is None:
+            return []
+        self.told_mark = message.mission_version, message.mission_tag
+        return [(self._key_beacon, encode(message))]
 
     def heard(self, beacon: Beacon) -> None:
         """Takes another's beacon, for what it shows of this robot's."""

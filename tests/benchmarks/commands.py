@@ -1,9 +1,11 @@
 """What operators' commands do to a large fleet that drives: is a stop taken soon, and does the fleet keep its
-rate while it is stopped, resumed, reshaped, left, and has a link made worse. What all tell all hear.
+rate while it is stopped, resumed, reshaped, left, and has a link made worse. What all tell all hear. How busy
+the fleet had the machine before that says how much room there was: the same one is slower in some minutes.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import tempfile
@@ -15,7 +17,7 @@ from typing import Final
 from deploy.recording.recording import Recording
 from deploy.verdict.lateness import grown
 from tests.benchmarks.figures import Figure, Options, Result, number, table
-from tests.benchmarks.local_runs import recorded, run_once, write_lattice
+from tests.benchmarks.local_runs import Running, recorded, run_once, write_lattice
 from tests.benchmarks.processes import environment, handfast
 
 FLEETS: Final = ((45, 10.0), (60, 10.0), (100, 5.0))
@@ -26,7 +28,7 @@ STOP_S: Final = 1.0
 MISSED: Final = 0.001
 COMMAND_S: Final = 60.0
 HEADING: Final = (
-    "fleet", "command", "took s", "exit", "robots late", "ticks missed",
+    "fleet", "cores busy before", "command", "took s", "exit", "robots late", "ticks missed",
 )  # fmt: skip
 
 
@@ -51,8 +53,13 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
     link lose messages for a while, is made larger, and is left by one robot."""
     name = f"lattice{robots}"
     given: list[tuple[str, float, float, int, str]] = []
+    busy = [nan]
 
-    def meanwhile(_: object) -> None:
+    def meanwhile(running: Running) -> None:
+        before, then_s = _cpu_s(running), time.perf_counter()
+        time.sleep(BEFORE_S)
+        took_s = (time.perf_counter() - then_s) * (os.cpu_count() or 1)
+        busy[0] = (_cpu_s(running) - before) / took_s
         for words, then_s in (
             (("stop", name), STOPPED_S),
             (("resume", name), RESUMED_S),
@@ -63,7 +70,6 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
             (("reshape", name, "--scale", "1.1"), RESHAPED_S),
             (("leave", name, "--robot", f"{robots}"), AFTER_S),
         ):
-            time.sleep(BEFORE_S if not given else 0.0)
             at_s = time.time()
             given.append((words[0], at_s, *command(*words)))
             time.sleep(max(0.0, at_s + then_s - time.time()))
@@ -81,6 +87,7 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
     rows = [
         [
             what,
+            f"{100.0 * busy[0]:.0f} %",
             kind,
             number(took_s),
             str(status),
@@ -89,9 +96,9 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
         ]
         for (kind, at_s, took_s, status, _), end_s in zip(given, ends_s, strict=True)
     ]
-    late = sum(int(row[4]) for row in rows)
+    late = sum(int(row[5]) for row in rows)
     took, after_s = braked(given[0][4])
-    skipped = sum(int(row[5]) for row in rows)
+    skipped = sum(int(row[6]) for row in rows)
     figures = [
         Figure(f"{what}: a stop is taken by the last robot after", after_s, "s", STOP_S),
         Figure(f"{what}: robots that took the stop", took, f"of {robots}", robots, at_most=False),
@@ -101,6 +108,11 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
     share = 100.0 * skipped / (robots * rate_hz * (recording.end_s - BEFORE_S))
     figures.append(Figure(f"{what}: ticks missed after the first command", share, "%", 100.0 * MISSED))
     return figures, rows
+
+
+def _cpu_s(running: Running) -> float:
+    """CPU that all processes of a run have used, s."""
+    return sum(spent_s for _, spent_s in running.cpu().values())
 
 
 def _late(recording: Recording, begin_s: float, end_s: float) -> set[int]:

@@ -44,6 +44,7 @@ class Scene:
         mission = Mission(1, 0, T0, 60 * S, "")
         self.reference.take(plan_of(mission, self.fleet, geometry))
         self.marks = dict.fromkeys(self.fleet.ids, (1, tag(mission)))
+        self.told = 0, 0
         control = self.fleet.control
         self.starts = {each.id: start_hand(each) for each in self.fleet.robots}
         self.peers = Peers(
@@ -78,7 +79,14 @@ class Scene:
         for _ in range(round(seconds / 0.1)):
             self.now += S // 10
             self.hear(*robots, unheard=unheard)
-            self.way.look(self.now + PERIOD, self.here, self.marks[self.robot])
+            self.look()
+
+    def look(self, *, rests: bool = False, passing: bool = False) -> None:
+        now_ns, mark = self.now + PERIOD, self.marks[self.robot]
+        if mark != self.told:
+            self.told = mark
+            self.way.told(now_ns, self.here, mark)
+        self.way.look(now_ns, self.here, rests=rests, passing=passing)
 
     def move(self, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> None:
         self.here = Hand(x, y, vx, vy)
@@ -214,7 +222,7 @@ def test_whom_one_hears_by_others_alone_would_not_tell_it_of_its_neighbours():
         told = Beacon(2, 0, scene.now + 1, True, *scene.starts[2], 0.0, 0.0, 0.0, 1, 0, -1, -1, (row,), ())
         assert scene.peers.accept_beacon(told, scene.now + PERIOD) is None
     assert scene.peers.get(4).late_ns(scene.now) < S
-    scene.way.look(scene.now + PERIOD, scene.here, scene.marks[scene.robot])
+    scene.look()
     assert scene.way.keep_in, "robot 3 may be driving with it"
 
 
@@ -230,7 +238,7 @@ def blind(scene: Scene, seconds: float, *robots: int, knows_s: float) -> None:
             place = *scene.starts[robot], 0.0, 0.0, 0.0
             told = Beacon(robot, 0, scene.now + 1, True, *place, *scene.marks[robot], -1, -1, (row,), (1,))
             assert scene.peers.accept_beacon(told, scene.now + PERIOD) is None
-        scene.way.look(scene.now + PERIOD, scene.here, scene.marks[1])
+        scene.look()
 
 
 def test_who_is_heard_and_has_given_this_one_up_is_as_one_that_is_not_heard():
@@ -269,6 +277,19 @@ def test_one_that_has_given_this_one_up_knows_it_by_the_mission_that_this_one_ha
     assert scene.way._ways[3].follows is scene.references[then.mark]
 
 
+def test_others_go_by_a_mission_from_the_moment_on_in_which_a_beacon_tells_it():
+    """However late that is after this one has taken it, and between two looks."""
+    scene = Scene(1)
+    scene.run(1.0, 2, 3, 4, 5)
+    old, now = scene.told, scene.now + PERIOD
+    for mark, told_ns in (((2, 7), now + S // 20), ((3, 8), now + S // 2)):
+        scene.way.told(told_ns, scene.here, mark)
+        assert [scene.way._at(told_ns + k).mark for k in (-1, 0, S)] == [old, mark, mark]
+        scene.way.look(told_ns + S // 10, scene.here)
+        assert scene.way._at(told_ns + S).mark == mark
+        old = mark
+
+
 def test_without_the_right_of_way_it_keeps_to_its_lane_wherever_the_others_lanes_are():
     """Who has it may have left its own, and is anywhere but near this one's."""
     scene = Scene(3, text=FLEET.replace("[-6, 1.5], [-6, 0]]", "[6, 6], [6, 9]]"))
@@ -304,7 +325,7 @@ def test_before_it_drives_it_need_not_know_where_others_might():
     for _ in range(50):
         scene.now += S // 10
         scene.hear(3)
-        scene.way.look(scene.now + PERIOD, scene.here, scene.marks[4], rests=True)
+        scene.look(rests=True)
     assert (scene.way.hold, scene.way.keep_out, scene.way.keep_in) == ("", (), ())
     scene.run(0.1, 3)
     assert scene.way.hold
@@ -454,13 +475,13 @@ def test_on_its_way_round_something_it_leaves_its_lane_where_that_is_out_of_the_
         scene = Scene(1)
         scene.run(5.0, 2, 5)
         scene.move(2.0, y)
-        scene.way.look(scene.now + PERIOD, scene.here, scene.marks[scene.robot], passing=passing)
+        scene.look(passing=passing)
         assert bool(scene.way.keep_in) is keeps, (passing, y)
     near = Scene(1, "formation.offsets=[[6, 0], [6, 1.5], [-6, 0.9], [-6, 0]]")
     near.starts[3] = (6.0, 0.9)
     near.run(0.2, 2, 3, 4, 5)
     near.run(5.0, 2, 5)
     near.move(2.0, half - 0.1)  # nearer to it than it may be outside of its own
-    near.way.look(near.now + PERIOD, near.here, near.marks[near.robot], passing=True)
+    near.look(passing=True)
     assert near.way.keep_in
     assert near.way.hold == ""

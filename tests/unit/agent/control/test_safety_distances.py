@@ -52,6 +52,21 @@ def test_the_least_distance_of_many_is_that_of_all_pairs() -> None:
         assert least_apart(edges, places) == min(apart)
 
 
+def test_what_is_further_apart_than_matters_is_not_looked_for_and_changes_nothing() -> None:
+    random = Random(1)
+    for _ in range(300):
+        wide, robots = random.choice((1.5, 4.0, 12.0)), random.randrange(2, 12)
+        places = {k: (random.uniform(0.0, wide), random.uniform(0.0, wide)) for k in range(robots)}
+        pairs = list(combinations(places, 2))
+        edges = {pair: dist(*(places[k] for k in pair)) for pair in random.sample(pairs, len(pairs) // 2)}
+        half_way = 0.5 * (0.2 + min(edges.values())) if edges else 0.5
+        wanted = max(min(half_way, 0.9 * least_apart(edges, places)), 1.05 * 0.2)
+        assert avoidance_distance(None, 0.2, edges, places) == wanted
+        least = least_apart(edges, places)
+        for within in (0.5 * least, least, 2.0 * least):
+            assert least_apart(edges, places, within) == (least if least < within else inf)
+
+
 def test_the_distance_of_avoidance_without_edges() -> None:
     assert avoidance_distance(None, 0.2, {}, {1: (0.0, 0.0)}) == pytest.approx(0.5)
     assert avoidance_distance(None, 0.2, {}, {1: (0.0, 0.0), 2: (0.4, 0.0)}) == pytest.approx(0.36)

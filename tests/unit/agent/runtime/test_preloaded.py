@@ -7,9 +7,13 @@ from pathlib import Path
 import pytest
 
 from agent.common.settings import entries
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import digest, load_fleet
 from agent.fleet.model import FleetError
 from agent.fleet.scenario import parse_scenario
+from agent.fleet.sections import TrajectorySection
+from agent.formation.mission_plan import trajectory_parts, written_plan
+from agent.messages.codec import decode, encode
+from agent.messages.types import Mission, Place
 from agent.runtime import preloaded
 from deploy.console.data_files import FLEETS
 
@@ -40,6 +44,18 @@ def test_what_it_takes_to_read_a_live_rule_is_known_by_then(tmp_path: Path) -> N
     before = entries.cache_info().misses
     rule = '[[faults.rule]]\nlink = "1->2"\ndelay = "20ms"\nat = 1.0\nfor = 2.0\n'
     assert len(parse_scenario(rule, fleet.ids).rules) == 1
+    assert entries.cache_info().misses == before
+
+
+def test_nor_does_a_mission_take_longer_because_it_is_the_first(tmp_path: Path) -> None:
+    """That of a drive leaves its trajectory to the fleet file: what reads one is a change in mid-drive."""
+    fleet = preloaded.preload(copied(tmp_path))
+    before = entries.cache_info().misses
+    parts = trajectory_parts(TrajectorySection(kind="line", velocity_mps=(0.5, 0.25)))
+    places = (Place(1, 0.0, 0.0), Place(2, 1.0, 0.0))
+    mission = decode(encode(Mission(2, 0, 0, 1, digest(fleet), trajectory=parts, robots=places)))
+    assert isinstance(mission, Mission)
+    assert written_plan(mission, fleet).section.velocity_mps == (0.5, 0.25)
     assert entries.cache_info().misses == before
 
 
