@@ -57,9 +57,13 @@ class MissionChoice:
         """Whether it is for this fleet file."""
         return mission.digest == self.digest
 
+    def mark_of(self, mission: Mission) -> Mark:
+        """Its mark. Most that come are the one that holds, as it is said until all have it."""
+        return self.mark if mission is self.mission else mark_of(mission)
+
     def holds(self, mission: Mission) -> bool:
-        """Whether it is the one that holds: most that come are, as they are said until all have them."""
-        return mission is self.mission or mark_of(mission) == self.mark
+        """Whether it is the one that holds."""
+        return self.mark_of(mission) == self.mark
 
     def take(self, mission: Mission) -> Plan | None:
         """Takes a mission; its plan if it holds from now on, None if the one before does.

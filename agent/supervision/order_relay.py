@@ -11,7 +11,7 @@ from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.formation.mission_choice import MissionChoice
 from agent.messages import key_expressions
-from agent.messages.codec import encode, mark_of
+from agent.messages.codec import encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
 from agent.messages.versions import can_be
@@ -68,8 +68,7 @@ class OrderRelay:
 
     def heard(self, now_ns: int, mission: Mission) -> None:
         """Somebody has said a mission that is for this fleet, newer or not."""
-        choice = self._choice
-        self._missions.said(now_ns, choice.mark if choice.holds(mission) else mark_of(mission))
+        self._missions.said(now_ns, self._choice.mark_of(mission))
 
     def took(self, mission: Mission, now_ns: int) -> None:
         """This is the mission from now on. In a large fleet not all of them tell all of them."""
