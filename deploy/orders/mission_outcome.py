@@ -63,7 +63,11 @@ class Ordering:
             other = self._newest
             known = other is not None and newer(other, self._mission)
             what = f" ({other.note})" if other is not None and known and other.note else ""
-            return [f"not done: another operator's order was quicker{what}; look, and order again"]
+            if known and other is not None and other.version == self._mission.version:
+                return [f"not done: another operator's order was quicker{what}; look, and order again"]
+            # That may have been made of this one: who orders again would have it twice.
+            text = f"overtaken by another operator's order{what}, maybe on top of it"
+            return [f"{text}; look before ordering again"]
         return lines_of((self._outcome(robot), robot) for robot in self._ids)
 
     def _outcome(self, robot: int) -> str:

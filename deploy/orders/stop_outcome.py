@@ -27,11 +27,20 @@ PLANT_BRAKES: Final = "braking"
 SAYS_BRAKES: Final = {"agent": BRAKING, "plant": frozenset({PLANT_BRAKES})}
 """By role: what a process says of itself that brakes."""
 NEW_LINK: Final = "over a new link"
+AGAIN_S: Final = 0.05
+AGAIN_ROBOTS_HZ: Final = 500
+"""So often a stop is said again, and no more often than that so many robots hear it a second."""
 OUTDONE_MAX: Final = 3
 """So many later orders a robot may have had, one after the other; who tells of more makes them up."""
 STOPS_OUTDONE_MAX: Final = 2
 """So many later stops by which robots brake are outdone: a program that ends gives one, which the next drive
 lifts. Who gives more stops this fleet as well, and two that outdid each other would never come to an end."""
+
+
+def again_s(fleet: Fleet) -> float:
+    """After so long a stop is said again. In a large fleet, where each robot relays it as well, all would
+    have more to do with hearing it than with braking: 100 heard it 50 times in the first 3 s."""
+    return max(AGAIN_S, len(fleet.robots) / AGAIN_ROBOTS_HZ)
 
 
 def has_acknowledged(status: Status | None, stop: Stop) -> bool:

@@ -24,14 +24,13 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import BYTES_MAX, PlantState, Status, Stop
 from agent.messages.validation import Malformed
 from agent.runtime.runtime_folder import NotPrivateError, private_folder
-from deploy.orders.stop_outcome import Stopping
+from deploy.orders.stop_outcome import Stopping, again_s
 from deploy.processes.placement import mark
 
 WAY: Final = "over the links of a live operator"
 _PREFIX: Final = "live"
 _OF_PROCESS: Final = re.compile(r"(?:live-[0-9a-f]+|asks)-(\d{1,9})(?:-[0-9a-f]+)?\.sock")
 _DATAGRAM_MAX: Final = 2 * BYTES_MAX
-AGAIN_S: Final = 0.05
 FOLLOW_S: Final = 3.0
 """So long a stop is said again, and is told what comes back."""
 TAKEN_MAX: Final = 16
@@ -86,7 +85,7 @@ class StopDoor:
         self._path: Path | None = None
         self._stops: dict[str, tuple[bytes, float]] = {}
         """By who gave it: a stop, and until when it is said."""
-        self._again_s = 0.0
+        self._again_s, self._pause_s = 0.0, again_s(fleet)
         self._socket = _socket()
         with suppress(OSError, NotPrivateError):
             _tidy(private_folder())
@@ -127,7 +126,7 @@ class StopDoor:
                 self._stops[sender] = payload, time.monotonic() + FOLLOW_S
         now_s = time.monotonic()
         if self._stops and now_s >= self._again_s:
-            self._again_s = now_s + AGAIN_S
+            self._again_s = now_s + self._pause_s
             self._stops = {sender: stop for sender, stop in self._stops.items() if now_s < stop[1]}
             for payload, _ in self._stops.values():
                 self._bus.publish(self._key, payload)

@@ -18,11 +18,10 @@ from agent.messages.types import Message, Mission, Stop
 from agent.transport.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.inventory.own_orders import OwnOrders
-from deploy.orders.stop_outcome import Stopping
+from deploy.orders.stop_outcome import AGAIN_S, Stopping, again_s
 from deploy.session.operator_bus import operator_bus
 from deploy.session.session import ANSWER_S, INBOX, Session
 
-SEND_PERIOD_S: Final = 0.05
 WAIT_S: Final = 10.0
 """What is slow is waited for so long: a way such as ssh to a host that is far away, and who brakes but has
 not kept the stop yet, on a machine that has too much to do."""
@@ -71,7 +70,8 @@ class StopSession(Session):
         self._key = key_expressions.stop(name)
         self.bus.declare(self._key)
         self._stopping = stopping
-        self._sent_to, self._sent = 0, stopping.message
+        self.again_s: Final = again_s(fleet)
+        self._sent_to, self._sent, self._sent_s = 0, stopping.message, 0.0
         # Before all else: what is connected already must not wait for the rest.
         self.send()
         for key in (key_expressions.status(name, "*"), key_expressions.plant_state(name, "*")):
@@ -83,12 +83,17 @@ class StopSession(Session):
     def send(self) -> None:
         """Sends the stop to all that are connected."""
         self._sent_to, self._sent = len(self.alive), self._stopping.message
+        self._sent_s = time.monotonic()
         self.bus.publish(self._key, encode(self._sent))
 
     @property
     def is_to_send(self) -> bool:
-        """Whether a process has come since the stop was sent last, or the stop got a greater version."""
-        return len(self.alive) > self._sent_to or self._stopping.message is not self._sent
+        """Whether a process has come since the stop was sent last, or the stop got a greater version. Those
+        of a large fleet come one after the other: not all are told again for each."""
+        if self._stopping.message is not self._sent:
+            return True
+        has_paused = time.monotonic() >= self._sent_s + self.again_s - AGAIN_S
+        return has_paused and len(self.alive) > self._sent_to
 
 
 class _OtherWays:
@@ -188,10 +193,10 @@ def _follow(stopping: Stopping, session: StopSession | None, others: _OtherWays,
                 look()  # a way may have told its last between the look before and its end
                 return
         if session is not None:
-            session.wait(look, SEND_PERIOD_S)
+            session.wait(look, session.again_s)
             session.send()
         elif not look():
-            time.sleep(SEND_PERIOD_S)
+            time.sleep(AGAIN_S)
 
 
 def _said(ways: Iterable[Way]) -> list[str]:

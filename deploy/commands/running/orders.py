@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 EXIT: Final = (
     "All robots take it over at one time, a second from now, and come to it smoothly. Exit status: 0 all "
-    "have acknowledged it; 1 some have not, or another operator was quicker; 2 bad input."
+    "have acknowledged it; 1 some have not, or another operator ordered meanwhile; 2 bad input."
 )
 
 

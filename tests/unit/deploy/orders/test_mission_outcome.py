@@ -58,12 +58,18 @@ def test_who_was_removed_is_not_waited_for_unless_it_is_there() -> None:
     assert not made.done
 
 
-def test_a_greater_version_was_quicker() -> None:
+def test_one_of_a_greater_version_may_have_been_made_of_it() -> None:
+    """Told that it was not done people scaled a fleet twice."""
     made = Ordering(MISSION, FLEET.ids)
     assert made.look(FLEET.ids, statuses(r2=MISSION.version + 1), MISSION)
     assert made.overruled
     assert not made.done
-    assert made.outcomes() == ["not done: another operator's order was quicker; look, and order again"]
+    assert made.outcomes() == [
+        "overtaken by another operator's order, maybe on top of it; look before ordering again"
+    ]
+    later = MISSION._replace(version=MISSION.version + 1, note="robot 4 leaves")
+    made.look(FLEET.ids, statuses(r2=later.version), later)
+    assert "overtaken by another operator's order (robot 4 leaves)" in made.outcomes()[0]
 
 
 def test_of_equal_versions_the_one_that_holds_everywhere_was() -> None:

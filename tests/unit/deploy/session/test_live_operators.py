@@ -7,14 +7,19 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 
 import pytest
 
+from agent.fleet.loading import parse_fleet
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Message, PlantState, Status, Stop
 from agent.runtime import runtime_folder
+from deploy.analysis.lattice import lattice
+from deploy.orders import stop_outcome
 from deploy.orders.stop_outcome import Stopping
 from deploy.session import live_operators
 from deploy.session.live_operators import WAY, LiveWay, StopDoor
@@ -92,12 +97,25 @@ def test_it_is_said_again_for_a_while(
     assert door.step()
     assert door.step() == []
     assert len(bus.said) == 1
-    now_s += live_operators.AGAIN_S
+    now_s += stop_outcome.AGAIN_S
     door.step()
     assert len(bus.said) == 2
     now_s += live_operators.FOLLOW_S
     door.step()
     assert len(bus.said) == 2
+
+
+def test_to_many_it_is_said_more_seldom(bus: NotingBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 robots and their plants had 50 of them to hear, while they were to brake."""
+    fleet = resolved(parse_fleet(lattice("many", 100), source="here"))
+    begun_s = now_s = time.monotonic()
+    monkeypatch.setattr(live_operators.time, "monotonic", lambda: now_s)
+    with StopDoor(fleet, bus) as door, closing(LiveWay(fleet)) as way:
+        way.send(Stop(5, 5, ""))
+        while now_s < begun_s + 1.0:
+            door.step()
+            now_s += 0.01
+    assert len(bus.said) == 5
 
 
 def test_nothing_but_a_stop_is_passed_on(door: StopDoor, bus: NotingBus) -> None:

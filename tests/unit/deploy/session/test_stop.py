@@ -9,14 +9,16 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.loading import parse_fleet
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.types import Resume, Status, Stop
 from agent.transport.bus import BusError
+from deploy.analysis.lattice import lattice
 from deploy.console.arguments import InputError
 from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
 from deploy.session import stop as stop_module
-from deploy.session.stop import stop
+from deploy.session.stop import StopSession, stop
 from tests.unit.deploy.inventory.test_own_orders import HOSTS
 from tests.unit.deploy.orders.order_fleets import square
 
@@ -50,6 +52,19 @@ class Through:
 
     def close(self) -> None:
         self.closed = True
+
+
+class Noting:
+    """A bus that only counts what is said."""
+
+    said = 0
+
+    def watch(self, *_: object) -> None: ...
+
+    subscribe = declare = watch
+
+    def publish(self, *_: object) -> None:
+        self.said += 1
 
 
 @pytest.fixture(autouse=True)
@@ -133,6 +148,29 @@ def test_who_brakes_and_has_not_kept_it_yet_is_waited_for(monkeypatch: pytest.Mo
     assert stop(FLEET, "", [Slow(frozenset({3}))])[0].done
     monkeypatch.setattr(stop_module, "WAIT_S", 0.1)
     assert not stop(FLEET, "", [Slow(frozenset({3}))])[0].done
+
+
+@pytest.mark.parametrize(("robots", "pause_s"), [(4, 0.0), (100, 0.15)])
+def test_who_comes_is_told_at_once_and_of_many_some_together(
+    robots: int, pause_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their tokens come one after the other: all were told anew for each."""
+    fleet = resolved(parse_fleet(lattice("many", robots), source="here"))
+    bus = Noting()
+    now_s = 100.0
+    monkeypatch.setattr(stop_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(stop_module, "operator_bus", lambda *_, **__: bus)
+    session = StopSession(fleet, Stopping(fleet, 5, ""), lambda: True)
+    assert bus.said == 1
+    assert not session.is_to_send
+    session.alive.add((1, "agent"))
+    assert session.is_to_send == (not pause_s)
+    now_s += pause_s + 1e-6
+    assert session.is_to_send
+    session.send()
+    assert not session.is_to_send
+    session._stopping.outdo(10**6)
+    assert session.is_to_send, "another stop is said at once"
 
 
 def test_who_is_not_reached_is_named() -> None:
