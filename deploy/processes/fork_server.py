@@ -155,7 +155,9 @@ class Server:
         if pid == 0:
             os.close(starting)
             preloaded.on_start(partial(os.close, has_started))
-            if self._yields and not request["for_many"]:
+            if self._yields and request["for_many"]:
+                scheduling.interrupt()
+            elif self._yields:
                 preloaded.on_start(partial(scheduling.yield_once_started, self._yields))
             self._become(forked, log)
             os.write(has_started, b".")

@@ -8,7 +8,7 @@ leaves a router of a hundred robots with one share of two hundred; so all are in
 as they would be in one control group of a desktop, and robots are nicer than who serves them all: where a
 hundred of them have more to do than there is time for, a router with three times the share of each still has
 3 % of a processor, and nobody hears anybody. Those that still start are less nice than those that wait for
-them, and so is the process of many bodies, all the time.
+them, and so is the process of many bodies, all the time; that one interrupts robots as well.
 """
 
 from __future__ import annotations
@@ -53,6 +53,13 @@ def yield_at_start() -> None:
     if _BATCH:
         _schedule(_BATCH)
     os.nice(max(0, STARTING - os.nice(0)))
+
+
+def interrupt() -> None:
+    """From now on this process, which has one thread, interrupts who is nicer when it wakes up: that of
+    many bodies, which has little to do, and for which all robots take theirs to be lost where it waits."""
+    if _BATCH:
+        _schedule(os.SCHED_OTHER)
 
 
 def niceness(robots: int) -> int:
