@@ -26,9 +26,8 @@ BEACON_HORIZONS: Final = 2.0
 """Two beacons of one robot are at most so many prediction horizons apart: who tells that it will be silent is
 given up as much later."""
 ORDERS_HZ: Final = 100
-"""So many a second of all robots of such a fleet say that they drive by a new mission, or that they lack an
-order that another has, where all do: that one needs to hear it from one of them. And so many begin to say
-where they are."""
+"""So many a second of all robots of such a fleet say that they lack an order that another has, where all do:
+that one needs to hear it from one of them. And so many begin to say where they are."""
 ORDERS_ROBOTS: Final = 100
 """Of more robots than this fewer say it in a second, as all of them hear each: of twice as many robots a
 quarter of those, so that all together hear no more. But none later than after the longest interval of its
