@@ -13,6 +13,7 @@ _DATA: Final = ROOT / "deploy" / "data"
 FLEETS: Final = _DATA / "fleets"
 SCENARIOS: Final = _DATA / "scenarios"
 TEMPLATE: Final = _DATA / "template.toml"
+PAGE: Final = _DATA / "page"
 ANSIBLE: Final = _DATA / "ansible"
 ROBOT_REQUIREMENTS: Final = _DATA / "robot_requirements.txt"
 

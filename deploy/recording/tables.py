@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
@@ -109,6 +110,16 @@ class StatusTable:
         """Ages (us) in the statuses of fleet time (start, end]."""
         return self.ages_us[np.repeat((self.t > start) & (self.t <= end), self.age_counts)]
 
+    @cached_property
+    def tick_max_us(self) -> Floats:
+        """(n,): the longest tick of each status, us; NaN where it has none."""
+        return _greatest(self.tick_us, self.tick_counts)
+
+    @cached_property
+    def age_max_us(self) -> Floats:
+        """(n,): the greatest age in each status, us; NaN where it has none."""
+        return _greatest(self.ages_us, self.age_counts)
+
     def totals(self) -> Mapping[str, int]:
         """What was counted by the last status, empty without one.
 
@@ -150,6 +161,16 @@ class StatusTable:
             for change, end in zip(changes, ends, strict=False)
             if change.state == state
         ]
+
+
+def _greatest(values: Ints, counts: Ints) -> Floats:
+    """Greatest of each status's values, NaN where it has none."""
+    found = np.full(len(counts), np.nan)
+    some = counts > 0
+    if some.any():
+        starts = (np.cumsum(counts) - counts)[some]
+        found[some] = np.maximum.reduceat(values, starts)
+    return found
 
 
 class Rows:

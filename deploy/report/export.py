@@ -167,16 +167,9 @@ def _statuses(parts: Sequence[tuple[int, StatusTable]]) -> Columns:
         columns[name] = np.array(
             [counters.get(name, 0) for _, table in parts for counters in table.counters], dtype=np.int64
         )
-    columns["tick_max_us"] = np.concatenate([_greatest(t.tick_us, t.tick_counts) for _, t in parts])
-    columns["age_max_us"] = np.concatenate([_greatest(t.ages_us, t.age_counts) for _, t in parts])
+    columns["tick_max_us"] = np.concatenate([table.tick_max_us for _, table in parts])
+    columns["age_max_us"] = np.concatenate([table.age_max_us for _, table in parts])
     return columns
-
-
-def _greatest(values: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Greatest of each status's values, NaN where it has none."""
-    ends = np.cumsum(counts)
-    spans = zip((ends - counts).tolist(), ends.tolist(), strict=True)
-    return np.array([values[a:b].max() if b > a else np.nan for a, b in spans], dtype=np.float64)
 
 
 # --- formats ---------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from matplotlib.axes import Axes
@@ -11,9 +10,8 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from deploy.faults.lanes import Lane, lanes
 from deploy.faults.process_actions import WORDS
-from deploy.faults.windows import spans
-from deploy.faults.wording import defaults, words
 from deploy.recording.recording import Recording
 from deploy.report.plotting import GREY, INK, PALETTE, RED
 
@@ -29,14 +27,6 @@ _MARKS_MAX: Final = 12
 _COLORS: Final = (PALETTE[1], PALETTE[5], PALETTE[3], PALETTE[4], PALETTE[0], PALETTE[6], PALETTE[2], GREY)
 
 
-@dataclass(frozen=True)
-class Lane:
-    """What a rule is called and does, and when it held (s of fleet time)."""
-
-    text: str
-    times: Sequence[tuple[float, float]]
-
-
 def time_axes(
     figure: Figure, recording: Recording, end_s: float, heights: Sequence[float] = (1.0,)
 ) -> list[Axes]:
@@ -45,7 +35,7 @@ def time_axes(
     The figure grows by the height of the strip. Each rule has a bar where it held, which goes on, faintly,
     through the axes; what was done to processes is a line there. Without faults there is no strip.
     """
-    rules = lanes(recording, end_s)
+    rules = drawn_lanes(recording, end_s)
     width, height = figure.get_size_inches()
     strip_in = _LANE_IN * len(rules)
     figure.set_size_inches(width, height + strip_in)
@@ -84,21 +74,9 @@ def _draw_strip(strip: Axes, panels: Sequence[Axes], lanes: Sequence[Lane], end_
             axes.add_collection(shade, autolim=False)
 
 
-def lanes(recording: Recording, end_s: float) -> list[Lane]:
-    """One lane for each rule, in the order in which they begin; before them what holds everywhere."""
-    times: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
-    for span in spans(recording, end_s):
-        name = f"{span.rule.name} ({span.author})" if span.author else span.rule.name
-        times.setdefault((name, words(span.rule), span.author), []).append((span.start_s, span.end_s))
-    ordered = sorted(times.items(), key=lambda item: min(item[1]))
-    found = [Lane(f"{name}: {text}", each) for (name, text, _), each in ordered]
-    everywhere = defaults(recording.fleet.faults)
-    if everywhere is not None:
-        found.insert(0, Lane(f"{everywhere.name}: {words(everywhere)}", [(0.0, end_s)]))
-    replays = recording.fleet.faults.replays
-    if replays:
-        links = f"{len(replays)} link{'s' * (len(replays) != 1)}"
-        found.insert(0, Lane(f"[[faults.replay]]: recorded fates on {links}", [(0.0, end_s)]))
+def drawn_lanes(recording: Recording, end_s: float) -> list[Lane]:
+    """The lanes of a strip: the first ones, and one for all the rest of many."""
+    found = lanes(recording, end_s)
     if len(found) <= LANES_MAX:
         return found
     rest = found[LANES_MAX - 1 :]

@@ -47,12 +47,14 @@ img {
   display: block; max-width: 100%; max-height: 52rem; height: auto; margin: 0 auto; padding: .5rem;
   background: #fff; border: 1px solid var(--line); border-radius: .3rem;
 }
+iframe { display: block; width: 100%; height: 42rem; border: 1px solid var(--line); border-radius: .3rem; }
 pre {
   background: var(--card); border: 1px solid var(--line); border-radius: .3rem; padding: .7rem;
   overflow-x: auto; font: .8rem/1.45 ui-monospace, "DejaVu Sans Mono", monospace;
 }
 code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .92em; }
 @media print {
+  iframe { display: none; }
   body { max-width: none; padding: 0; font-size: 11pt; }
   figure, tr, .verdict { break-inside: avoid; }
   h2 { break-after: avoid; }
@@ -73,6 +75,18 @@ def figure(name: str, picture: bytes, caption: str) -> str:
     return (
         f'<figure>\n<img alt="{escape(name.capitalize())}: {words}" src="data:image/png;base64,{data}">\n'
         f"<figcaption>{words}</figcaption>\n</figure>"
+    )
+
+
+def inside(title: str, page: str, caption: str) -> str:
+    """Another page (HTML) inside the page, with its caption (HTML).
+
+    Its styles and names are its own, and its scripts cannot reach what is outside.
+    """
+    text = page.replace("&", "&amp;").replace("'", "&#39;")
+    return (
+        f'<figure>\n<iframe title="{escape(title)}" sandbox="allow-scripts" srcdoc=\'{text}\'></iframe>\n'
+        f"<figcaption>{caption}</figcaption>\n</figure>"
     )
 
 

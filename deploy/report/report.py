@@ -18,11 +18,15 @@ from agent.supervision.state_machine import State
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, number, percentile
 from deploy.console.wording import robots
+from deploy.faults.lanes import lanes
+from deploy.playback.page import embedded
+from deploy.playback.scene import scene
+from deploy.playback.track import Track
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
-from deploy.report import fault_strip, figures, link_figure, link_section, oracle_section
-from deploy.report.html import CSS, bullets, figure, shown, table
+from deploy.report import figures, link_figure, link_section, oracle_section
+from deploy.report.html import CSS, bullets, figure, inside, shown, table
 from deploy.report.trajectory_figure import silent_bodies
 from deploy.verdict import metrics
 from deploy.verdict.run_result import RunResult
@@ -155,6 +159,10 @@ def _summary(result: RunResult) -> str:
 
 
 _FAULTS_ABOVE: Final = " Above it, what was made to fail on purpose, and when."
+_PLAYER: Final = (
+    "The drive from above, at any moment: press play, drag along the line, click on a robot, on a curve, on "
+    "what happened. <code>handfast view</code> shows the same in full."
+)
 _CAPTIONS: Final = {
     "trajectories": "Paths of the hand points (solid) and the desired ones (dotted). Circles are the starts; "
     "the formation is drawn with its edges at the times written beside it. After the paper's Fig. 3.",
@@ -177,7 +185,7 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
     reasons = bullets([escape(reason) for reason in result.reasons])
     cautions = bullets([f"Warning: {escape(warning)}" for warning in result.warnings])
     tips = advice(result)
-    failing = _FAULTS_ABOVE if fault_strip.lanes(recording, recording.end_s) else ""
+    failing = _FAULTS_ABOVE if lanes(recording, recording.end_s) else ""
     parts = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f"<title>{name}: {verdict}</title>\n"
@@ -189,6 +197,7 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         f"<p>{_summary(result)}</p>\n{reasons}{cautions}"
         + (f"<p><strong>What to try</strong></p>{bullets(tips)}" if tips else "")
         + "</section>",
+        inside("The drive, played", _player(result), _PLAYER),
         figure("trajectories", pictures["trajectories"], _CAPTIONS["trajectories"]),
         figure("distances", pictures["distances"], _CAPTIONS["distances"] + failing),
         "<h2>In numbers</h2>",
@@ -211,6 +220,11 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         "</body>\n</html>\n",
     ]
     return "\n".join(part for part in parts if part)
+
+
+def _player(result: RunResult) -> str:
+    track = Track(result)
+    return embedded(scene(result, track), track.overview())
 
 
 def _what(recording: Recording, found: dict[str, Any]) -> str:

@@ -26,7 +26,7 @@ class Oracle(NamedTuple):
 
 ORACLES: Final[tuple[Oracle, ...]] = (
     Oracle(
-        "separation",
+        oracles_distance.SEPARATION,
         "No two hands come nearer to each other than the safe distance.",
         oracles_distance.separation,
     ),

@@ -18,6 +18,8 @@ from deploy.recording.recording import Recording
 from deploy.verdict.violations import Violation, lasting
 from plant.unicycle import BRAKE_DECELERATION_MAX
 
+SEPARATION: Final = "separation"
+"""Name of the oracle of robots and each other."""
 CLEARANCE_TOLERANCE_M: Final = 0.01
 OUTSIDE_S: Final = 1.0
 """A robot outside the geofence must hold within so long."""
@@ -49,7 +51,7 @@ def _too_close(approaches: Approaches, safe_m: float, relation: str, more: str =
         f"Robots {i} and {j}, which {relation}, came within {distance_m:.3f} m of each other at {t_s:.2f} s; "
         f"the safe distance is {safe_m:.3f} m.{others}{more}"
     )
-    return [Violation("separation", t_s, message)]
+    return [Violation(SEPARATION, t_s, message)]
 
 
 def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:

@@ -29,6 +29,7 @@ BY_OTHERS: Final = {
         deploy/commands/local/rover_simulator
         deploy/commands/local/run
         deploy/commands/local/simulate
+        deploy/commands/local/view
         deploy/commands/running/heartbeat
         deploy/commands/running/join
         deploy/commands/running/leave

@@ -182,7 +182,7 @@ def test_every_rule_has_a_lane_up_to_a_number() -> None:
         for k in range(12)
     )
     fleet = trio('[faults]\ndelay = "1ms"\n' + many)
-    lanes = fault_strip.lanes(recorded(fleet, driven(fleet)), 2.0)
+    lanes = fault_strip.drawn_lanes(recorded(fleet, driven(fleet)), 2.0)
     assert len(lanes) == fault_strip.LANES_MAX
     assert lanes[0].text == "[faults]: delay 1ms on every link"
     assert lanes[1].text == "r0: loss 9% on 1->2"

@@ -142,7 +142,11 @@ def test_the_page_needs_nothing_beside_itself(tmp_path: Path) -> None:
         assert prefix == "data:image/png;base64"
         assert base64.b64decode(data) == (tmp_path / f"{name}.png").read_bytes()
     tags = {tag for tag, _ in page.tags}
-    assert not tags & {"script", "link", "iframe", "object"}
+    assert not tags & {"script", "link", "object"}
+    (player,) = [attributes for tag, attributes in page.tags if tag == "iframe"]
+    assert player["sandbox"] == "allow-scripts"  # it cannot reach the page around it, nor where that lies
+    assert "src" not in player
+    assert player["srcdoc"].startswith("<!doctype html>")
     assert not re.findall(r"(?:href|src|url\()\s*=?\s*[\"']?(?!data:)\w+:", text)
     assert all(attributes.get("alt") for tag, attributes in page.tags if tag == "img")
 

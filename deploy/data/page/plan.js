@@ -1,0 +1,445 @@
+// The plan view: a canvas on which the fleet is drawn from above, east to the right, north up.
+
+const TRAIL_S = 20;
+const LABEL_PX = 22; // robots that are nearer to each other on the screen have no names
+const SETTLED = 0.05; // as deploy/analysis/stability.py: an edge that is off by less holds
+const FORCE_PX = 80; // a force of 1 m/s2 is drawn so long
+const FORCE_PX_MAX = 160;
+const MARGIN = 0.12;
+
+// Of colours that people with any kind of colour blindness can tell apart (Okabe and Ito).
+export const COLORS = { holds: "#009e73", off: "#e69f00", bad: "#d55e00", navigation: "#0072b2", constraint: "#cc79a7" };
+const TROUBLE = new Set(["degraded", "holding", "released", "silent"]);
+const RESTING = new Set(["stopping", "stopped"]);
+const UNREADY = new Set(["waiting", "standby", "ready", ""]);
+
+export class Plan {
+  constructor(canvas, source, onChoose) {
+    Object.assign(this, { canvas, source, onChoose });
+    this.show = { trails: true, places: true, forces: false };
+    this.follow = false;
+    this.chosen = null;
+    this.scale = 50; // pixels a metre
+    this.centre = [0, 0];
+    this.fitted = false;
+    this.pointers = new Map();
+    this.listen();
+  }
+
+  // ---------------------------------------------------------------- where is what
+
+  resize() {
+    const ratio = window.devicePixelRatio || 1;
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (this.width === width && this.height === height && this.ratio === ratio) return;
+    Object.assign(this, { width, height, ratio });
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+  }
+
+  toScreen(x, y) {
+    return [
+      this.width / 2 + (x - this.centre[0]) * this.scale,
+      this.height / 2 - (y - this.centre[1]) * this.scale,
+    ];
+  }
+
+  toWorld(px, py) {
+    return [
+      this.centre[0] + (px - this.width / 2) / this.scale,
+      this.centre[1] - (py - this.height / 2) / this.scale,
+    ];
+  }
+
+  // Shows all that there is: the whole way of all robots, obstacles and the fence.
+  fit() {
+    this.resize();
+    const { source } = this;
+    const { at, columns, overview, width } = source;
+    let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
+    const take = (x, y) => {
+      if (!Number.isFinite(x) || !Number.isFinite(y)) return;
+      x0 = Math.min(x0, x);
+      x1 = Math.max(x1, x);
+      y0 = Math.min(y0, y);
+      y1 = Math.max(y1, y);
+    };
+    for (let k = 0; k < source.overviewRows; k++) {
+      for (let robot = 0; robot < source.scene.robots.length; robot++) {
+        const from = k * width + robot * columns;
+        take(overview[from + at.x], overview[from + at.y]);
+      }
+    }
+    for (const each of source.scene.obstacles) {
+      if (each.points) each.points.forEach(([x, y]) => take(x, y));
+      else {
+        take(each.x - each.radius, each.y - each.radius);
+        take(each.x + each.radius, each.y + each.radius);
+      }
+    }
+    if (!Number.isFinite(x0)) return;
+    const room = Math.max(x1 - x0, y1 - y0, 1) * MARGIN;
+    this.centre = [(x0 + x1) / 2, (y0 + y1) / 2];
+    this.scale = Math.min(this.width / (x1 - x0 + 2 * room), this.height / (y1 - y0 + 2 * room));
+    this.fitted = true;
+  }
+
+  zoom(factor, px = this.width / 2, py = this.height / 2) {
+    const [x, y] = this.toWorld(px, py);
+    this.scale = Math.min(Math.max(this.scale * factor, 0.01), 20000);
+    const [nx, ny] = this.toWorld(px, py);
+    this.centre = [this.centre[0] + x - nx, this.centre[1] + y - ny];
+  }
+
+  listen() {
+    const { canvas, pointers } = this;
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
+    }, { passive: false });
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+      this.moved = 0;
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      const before = pointers.get(event.pointerId);
+      if (!before) return;
+      const here = [event.offsetX, event.offsetY];
+      const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, each]) => each);
+      if (others.length) {
+        const apart = (a) => Math.hypot(a[0] - others[0][0], a[1] - others[0][1]);
+        this.zoom(apart(here) / Math.max(apart(before), 1), others[0][0], others[0][1]);
+      } else {
+        this.centre[0] -= (here[0] - before[0]) / this.scale;
+        this.centre[1] += (here[1] - before[1]) / this.scale;
+      }
+      this.moved += Math.hypot(here[0] - before[0], here[1] - before[1]);
+      pointers.set(event.pointerId, here);
+    });
+    const end = (event) => {
+      if (!pointers.delete(event.pointerId) || event.type !== "pointerup" || this.moved > 4) return;
+      this.onChoose(this.nearest(event.offsetX, event.offsetY));
+    };
+    canvas.addEventListener("pointerup", end);
+    canvas.addEventListener("pointercancel", end);
+  }
+
+  // Index of the robot that is nearest to a place on the screen, null where none is near.
+  nearest(px, py) {
+    let [found, least] = [null, 24];
+    (this.drawn || []).forEach((place, index) => {
+      if (!place) return;
+      const away = Math.hypot(place[0] - px, place[1] - py);
+      if (away < least) [found, least] = [index, away];
+    });
+    return found;
+  }
+
+  // ---------------------------------------------------------------- drawing
+
+  draw(frame) {
+    this.resize();
+    if (!this.fitted) this.fit();
+    const style = getComputedStyle(document.documentElement);
+    this.theme = Object.fromEntries(
+      ["ink", "soft", "line", "page", "card", "robot", "fence", "warn", "bad"].map((name) => [
+        name, style.getPropertyValue(`--${name}`).trim(),
+      ]),
+    );
+    if (this.follow) this.centreOn(frame.row);
+    const c = this.canvas.getContext("2d");
+    this.c = c;
+    c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    c.fillStyle = this.theme.page;
+    c.fillRect(0, 0, this.width, this.height);
+    this.grid();
+    this.ground();
+    if (this.show.trails) this.trails(frame);
+    this.edges(frame.row);
+    this.robots(frame);
+  }
+
+  centreOn(row) {
+    const { at, columns, scene } = this.source;
+    let [sumX, sumY, count] = [0, 0, 0];
+    scene.robots.forEach((_, index) => {
+      if (this.chosen !== null && index !== this.chosen) return;
+      const [x, y] = [row[index * columns + at.x], row[index * columns + at.y]];
+      if (Number.isNaN(x)) return;
+      sumX += x;
+      sumY += y;
+      count += 1;
+    });
+    if (count && !this.pointers.size) this.centre = [sumX / count, sumY / count];
+  }
+
+  grid() {
+    const { c } = this;
+    this.step = 10 ** Math.ceil(Math.log10(60 / this.scale));
+    if (this.step * this.scale > 300) this.step /= 5;
+    else if (this.step * this.scale > 150) this.step /= 2;
+    const [x0, y1] = this.toWorld(0, 0);
+    const [x1, y0] = this.toWorld(this.width, this.height);
+    c.strokeStyle = this.theme.line;
+    c.globalAlpha = 0.5;
+    c.lineWidth = 1;
+    c.beginPath();
+    for (let x = Math.ceil(x0 / this.step) * this.step; x <= x1; x += this.step) {
+      const px = Math.round(this.toScreen(x, 0)[0]) + 0.5;
+      c.moveTo(px, 0);
+      c.lineTo(px, this.height);
+    }
+    for (let y = Math.ceil(y0 / this.step) * this.step; y <= y1; y += this.step) {
+      const py = Math.round(this.toScreen(0, y)[1]) + 0.5;
+      c.moveTo(0, py);
+      c.lineTo(this.width, py);
+    }
+    c.stroke();
+    c.globalAlpha = 1;
+  }
+
+  polygon(points) {
+    this.c.beginPath();
+    points.forEach(([x, y], index) => {
+      const [px, py] = this.toScreen(x, y);
+      if (index) this.c.lineTo(px, py);
+      else this.c.moveTo(px, py);
+    });
+    this.c.closePath();
+  }
+
+  ground() {
+    const { c, source: { scene } } = this;
+    for (const each of scene.obstacles) {
+      if (each.points) this.polygon(each.points);
+      else {
+        c.beginPath();
+        c.arc(...this.toScreen(each.x, each.y), each.radius * this.scale, 0, 2 * Math.PI);
+      }
+      c.fillStyle = this.theme.soft;
+      c.globalAlpha = 0.35;
+      c.fill();
+      c.globalAlpha = 1;
+      c.strokeStyle = this.theme.soft;
+      c.lineWidth = 1;
+      c.stroke();
+    }
+    if (scene.fence) {
+      this.polygon(scene.fence);
+      c.strokeStyle = this.theme.fence;
+      c.lineWidth = 2;
+      c.setLineDash([8, 5]);
+      c.stroke();
+      c.setLineDash([]);
+    }
+  }
+
+  trails(frame) {
+    const { c, source } = this;
+    const { at, columns, overview, width } = source;
+    const per = source.stride / source.rate;
+    const last = Math.min(Math.floor(frame.t / per), source.overviewRows - 1);
+    const first = Math.max(0, Math.floor((frame.t - TRAIL_S) / per));
+    c.strokeStyle = this.theme.robot;
+    c.lineWidth = 1.2;
+    c.globalAlpha = 0.45;
+    c.beginPath();
+    for (let robot = 0; robot < source.scene.robots.length; robot++) {
+      let drawing = false;
+      const point = (x, y) => {
+        if (Number.isNaN(x)) return (drawing = false);
+        const [px, py] = this.toScreen(x, y);
+        if (drawing) c.lineTo(px, py);
+        else c.moveTo(px, py);
+        return (drawing = true);
+      };
+      for (let k = first; k <= last; k++) {
+        const from = k * width + robot * columns;
+        point(overview[from + at.x], overview[from + at.y]);
+      }
+      point(frame.row[robot * columns + at.x], frame.row[robot * columns + at.y]);
+    }
+    c.stroke();
+    c.globalAlpha = 1;
+  }
+
+  // An edge that holds is a thin line; one that is too long is dashed, one that is too short dotted and thick.
+  edges(row) {
+    const { c, source } = this;
+    const { at, columns, scene } = source;
+    const few = scene.robots.length <= 30;
+    scene.edges.forEach(([i, j], index) => {
+      const wanted = row[scene.robots.length * columns + index];
+      if (Number.isNaN(wanted)) return;
+      const [x, y] = [row[i * columns + at.x], row[i * columns + at.y]];
+      const [u, v] = [row[j * columns + at.x], row[j * columns + at.y]];
+      if (Number.isNaN(x) || Number.isNaN(u)) return;
+      const distance = Math.hypot(x - u, y - v);
+      const off = distance / wanted - 1;
+      const unsafe = distance < scene.safe_m;
+      c.strokeStyle = unsafe ? COLORS.bad : Math.abs(off) <= SETTLED ? COLORS.holds : COLORS.off;
+      c.lineWidth = (unsafe ? 4 : off < -SETTLED ? 2.6 : 1.6) * (few ? 1 : 0.7);
+      c.setLineDash(Math.abs(off) <= SETTLED ? [] : off > 0 ? [9, 5] : [2, 3]);
+      c.beginPath();
+      c.moveTo(...this.toScreen(x, y));
+      c.lineTo(...this.toScreen(u, v));
+      c.stroke();
+    });
+    c.setLineDash([]);
+  }
+
+  robots(frame) {
+    const { c, source } = this;
+    const { at, columns, scene } = source;
+    const row = frame.row;
+    this.drawn = scene.robots.map((_, index) => {
+      const [x, y] = [row[index * columns + at.x], row[index * columns + at.y]];
+      return Number.isNaN(x) ? null : this.toScreen(x, y);
+    });
+    const labels = this.areApart(LABEL_PX);
+    const safe = (scene.safe_m / 2) * this.scale;
+    scene.robots.forEach((robot, index) => {
+      const place = this.drawn[index];
+      const from = index * columns;
+      const [, state] = source.state(index, frame.t);
+      if (this.show.places) this.slot(row[from + at.place_x], row[from + at.place_y], place);
+      if (!place) return;
+      const [px, py] = place;
+      if (safe > 6) {
+        c.strokeStyle = this.theme.soft;
+        c.globalAlpha = 0.5;
+        c.lineWidth = 1;
+        c.beginPath();
+        c.arc(px, py, safe, 0, 2 * Math.PI);
+        c.stroke();
+        c.globalAlpha = 1;
+      }
+      if (this.show.forces) this.arrows(row, from, place);
+      this.body(robot, row[from + at.heading], place, state, index === this.chosen);
+      if (labels || index === this.chosen) this.label(robot, state, place);
+    });
+  }
+
+  // Whether robots are mostly further apart than so many pixels.
+  areApart(least) {
+    const places = this.drawn.filter(Boolean);
+    if (places.length < 2) return true;
+    let near = 0;
+    for (const [x, y] of places) {
+      if (places.some(([u, v]) => (u !== x || v !== y) && Math.hypot(x - u, y - v) < least)) near += 1;
+    }
+    return near < places.length / 2;
+  }
+
+  slot(x, y, robot) {
+    if (Number.isNaN(x)) return;
+    const { c } = this;
+    const [px, py] = this.toScreen(x, y);
+    c.strokeStyle = this.theme.soft;
+    c.lineWidth = 1;
+    c.beginPath();
+    c.moveTo(px - 4, py);
+    c.lineTo(px + 4, py);
+    c.moveTo(px, py - 4);
+    c.lineTo(px, py + 4);
+    if (robot && Math.hypot(px - robot[0], py - robot[1]) > 8) {
+      c.moveTo(px, py);
+      c.lineTo(...robot);
+    }
+    c.globalAlpha = 0.7;
+    c.stroke();
+    c.globalAlpha = 1;
+  }
+
+  arrows(row, from, [px, py]) {
+    const { at } = this.source;
+    for (const kind of ["navigation", "constraint"]) {
+      const [fx, fy] = [row[from + at[`${kind}_x`]], row[from + at[`${kind}_y`]]];
+      const length = Math.min(Math.hypot(fx, fy) * FORCE_PX, FORCE_PX_MAX);
+      if (!(length > 8)) continue;
+      this.arrow(px, py, Math.atan2(-fy, fx), length, COLORS[kind], kind === "constraint");
+    }
+  }
+
+  arrow(px, py, angle, length, color, dashed) {
+    const { c } = this;
+    c.save();
+    c.translate(px, py);
+    c.rotate(angle);
+    c.strokeStyle = c.fillStyle = color;
+    c.lineWidth = 2;
+    c.setLineDash(dashed ? [5, 3] : []);
+    c.beginPath();
+    c.moveTo(0, 0);
+    c.lineTo(length - 6, 0);
+    c.stroke();
+    c.beginPath();
+    c.moveTo(length, 0);
+    c.lineTo(length - 8, 4);
+    c.lineTo(length - 8, -4);
+    c.fill();
+    c.restore();
+  }
+
+  // A robot: its hand point, a dot, and behind it the body, which points where it heads. Its state is its shape:
+  // a cross is in fault, a ring in trouble, a square at rest, what is hollow does not drive yet.
+  body(robot, heading, [px, py], state, chosen) {
+    const { c } = this;
+    const size = Math.max(7, Math.min(robot.hand_m * this.scale, 40));
+    const color = state === "fault" ? this.theme.bad : TROUBLE.has(state) ? this.theme.warn : this.theme.robot;
+    c.save();
+    c.translate(px, py);
+    c.rotate(-(Number.isNaN(heading) ? 0 : heading));
+    c.translate(-Math.max(robot.hand_m * this.scale, size), 0);
+    c.fillStyle = c.strokeStyle = color;
+    c.lineWidth = 2;
+    c.beginPath();
+    if (RESTING.has(state)) c.rect(-size * 0.55, -size * 0.55, size * 1.1, size * 1.1);
+    else {
+      c.moveTo(size * 0.9, 0);
+      c.lineTo(-size * 0.7, size * 0.65);
+      c.lineTo(-size * 0.4, 0);
+      c.lineTo(-size * 0.7, -size * 0.65);
+      c.closePath();
+    }
+    if (UNREADY.has(state)) c.stroke();
+    else c.fill();
+    if (state === "fault") {
+      c.strokeStyle = this.theme.bad;
+      c.beginPath();
+      c.moveTo(-size, -size);
+      c.lineTo(size, size);
+      c.moveTo(-size, size);
+      c.lineTo(size, -size);
+      c.stroke();
+    } else if (TROUBLE.has(state)) {
+      c.beginPath();
+      c.arc(0, 0, size * 1.15, 0, 2 * Math.PI);
+      c.stroke();
+    }
+    if (chosen) {
+      c.strokeStyle = this.theme.ink;
+      c.setLineDash([3, 3]);
+      c.beginPath();
+      c.arc(0, 0, size * 1.5, 0, 2 * Math.PI);
+      c.stroke();
+    }
+    c.restore();
+    c.fillStyle = this.theme.ink;
+    c.beginPath();
+    c.arc(px, py, 2.2, 0, 2 * Math.PI);
+    c.fill();
+  }
+
+  label(robot, state, [px, py]) {
+    const { c } = this;
+    const text = state && state !== "running" ? `${robot.id} ${state}` : `${robot.id}`;
+    c.font = "12px system-ui, sans-serif";
+    c.lineWidth = 3;
+    c.strokeStyle = this.theme.page;
+    c.strokeText(text, px + 6, py - 7);
+    c.fillStyle = this.theme.ink;
+    c.fillText(text, px + 6, py - 7);
+  }
+}

@@ -1,0 +1,61 @@
+"""What of a run does not move: its fleet, its ground, its edges, the states of its robots, its verdict."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from agent.control.boundaries import Circle, fence_of, obstacles_of
+from agent.fleet.loading import law_name
+from deploy.playback.marks import marks
+from deploy.playback.series import series
+from deploy.playback.track import COLUMNS, Track
+from deploy.verdict.run_result import RunResult
+
+FORMAT: Final = 1
+"""Of what a page is given; one that finds another says so."""
+
+
+def scene(result: RunResult, track: Track) -> dict[str, Any]:
+    """The scene as JSON values, with which a page can read the `track`.
+
+    Lengths in m (W), times in s of fleet time. States: of each robot [t, state, why], one after the other.
+    """
+    recording, analysis, fleet = result.recording, result.analysis, result.fleet
+    fence = fence_of(fleet)
+    return {
+        "format": FORMAT,
+        "fleet": fleet.fleet.name,
+        "mode": recording.mode,
+        "law": law_name(fleet.control),
+        "epoch_ns": None if recording.epoch_ns is None else str(recording.epoch_ns),
+        "end_s": float(analysis.grid[-1]),
+        "safe_m": analysis.safe_m,
+        "robots": [{"id": each.id, "hand_m": each.hand_offset_m} for each in fleet.robots],
+        "edges": analysis.edges.tolist(),
+        "obstacles": [
+            {"name": each.name, "x": each.x, "y": each.y, "radius": each.radius}
+            if isinstance(each, Circle)
+            else {"name": each.name, "points": each.points}
+            for each in obstacles_of(fleet)
+        ],
+        "fence": None if fence is None else fence.points,
+        "states": [
+            [[round(change.t_s, 3), change.state, change.reason] for change in data.status.changes()]
+            for data in recording.robots.values()
+        ],
+        "marks": [mark._asdict() for mark in marks(result)],
+        "series": series(result),
+        "verdict": {
+            "passed": result.passed,
+            "reasons": list(result.reasons),
+            "warnings": list(result.warnings),
+        },
+        "track": {
+            "columns": list(COLUMNS),
+            "width": track.width,
+            "rate_hz": float(fleet.fleet.rate_hz),
+            "rows": track.rows,
+            "stride": track.stride,
+            "piece_rows": track.piece_rows,
+        },
+    }

@@ -1,0 +1,1 @@
+"""The server of the page that shows a run: HTTP on the loopback interface."""

@@ -1,0 +1,52 @@
+"""A real Chromium, without a window, that tests drive."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, sync_playwright
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+]
+"""CI is root, which has no sandbox. No name is looked up: a page that asked for one would be seen."""
+
+
+@contextmanager
+def opened(
+    screenshots: Path, width: int = 1400, height: int = 850, scheme: str = "light", may_say: str = "\0"
+) -> Iterator[Page]:
+    """A page of a browser; errors of its scripts, but those that contain `may_say`, and requests to others,
+    fail the test.
+
+    When the test fails, what the page showed is left in `screenshots`.
+    """
+    program = next(filter(None, map(shutil.which, NAMES)), None)
+    if program is None:
+        pytest.skip(f"no browser: {', '.join(NAMES)} (Debian: apt install chromium)")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
+        page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)  # type: ignore[arg-type]
+        trouble: list[str] = []
+        asked: list[str] = []
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        page.on("console", lambda said: trouble.append(said.text) if said.type == "error" else None)
+        page.on("request", lambda request: asked.append(request.url))
+        try:
+            yield page
+            assert not [text for text in trouble if may_say not in text]
+            outside = ("http://127.0.0.1:", "data:", "file:", "about:")
+            assert not [address for address in asked if not address.startswith(outside)]
+        except BaseException:
+            screenshots.mkdir(parents=True, exist_ok=True)
+            page.screenshot(path=screenshots / "failed.png")
+            raise
+        finally:
+            browser.close()

@@ -1,0 +1,80 @@
+"""What happened in a run is marked, and nothing that is as it should be."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.messages import key_expressions
+from agent.messages.types import Event, Resume, Stop
+from deploy.playback import marks as module
+from deploy.playback.marks import FAULT, ORDER, STATE, VIOLATION, Mark, marks
+from deploy.recording.collector import RunData
+from deploy.verdict.run_result import RunResult
+from tests.unit.deploy.playback.runs import FLEET, result_of
+from tests.unit.deploy.simulated_run import driven, trio
+from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages, standing
+
+NAME = FLEET.fleet.name
+
+
+def with_more(*more: tuple[int, str, object]) -> list[Mark]:
+    data = RunData(FLEET)
+    for sent in sorted([*messages(FLEET, in_formation(FLEET)), *more], key=lambda each: each[0]):
+        data.feed(*sent)  # type: ignore[arg-type]
+    return marks(RunResult(data.recording()))
+
+
+def test_of_a_good_run_only_its_begin_is_marked() -> None:
+    assert marks(result_of()) == [Mark(0.0, None, ORDER, "the drive begins")]
+
+
+def test_orders_are_marked_when_they_were_given() -> None:
+    at = EPOCH_NS + 10**9
+    found = with_more(
+        (at, key_expressions.stop(NAME), Stop(1, at, "a dog")),
+        (at + 10**9, key_expressions.resume(NAME), Resume(2, at + 10**9, (2,))),
+    )
+    orders = [mark for mark in found if mark.kind == ORDER]
+    assert orders[1:] == [
+        Mark(1.0, None, ORDER, "stop: a dog"),
+        Mark(2.0, None, ORDER, "resume: robot 2", (2,)),
+    ]
+
+
+def test_what_was_done_to_processes_is_marked() -> None:
+    at = EPOCH_NS + 1_500_000_000
+    found = with_more((at, key_expressions.events(NAME), Event(3, 0, at, "agent", "kill", "crash")))
+    assert Mark(1.5, None, FAULT, "agent 3 killed", (3,)) in found
+
+
+def test_each_time_of_a_rule_is_marked() -> None:
+    fleet = trio(
+        '[[faults.rule]]\nname = "deaf"\nlink = "1->2"\nloss = "100%"\nat = 0.5\nfor = 0.25\nevery = 0.5\n'
+    )
+    data = RunData(fleet)
+    for sent in driven(fleet):
+        data.feed(*sent)
+    found = [mark for mark in marks(RunResult(data.recording())) if mark.kind == FAULT]
+    assert [(mark.t_s, mark.end_s) for mark in found] == [(0.5, 0.75), (1.0, 1.25), (1.5, 1.75)]
+    assert found[0].text == "deaf: loss 100% on 1->2"
+
+
+def test_the_same_trouble_of_many_robots_is_one_mark() -> None:
+    found = [mark for mark in marks(result_of(state="holding")) if mark.kind == STATE]
+    assert found == [Mark(0.0, None, STATE, "robots 1, 2 and 3 holding", (1, 2, 3))]
+
+
+def test_pairs_below_the_safe_distance_are_violations_that_name_them() -> None:
+    near = [standing(0, 0), lambda t: (1.0 - min(max(t, 0.0), 1.5) * 0.6, 0.0, 0.0), standing(0, 1)]
+    found = [mark for mark in marks(result_of(paths=near)) if mark.kind == VIOLATION]
+    apart = [mark for mark in found if "apart" in mark.text]
+    assert [mark.robots for mark in apart] == [(1, 2)]
+    assert "0.100 m apart, less than the safe distance" in apart[0].text
+
+
+def test_of_too_many_marks_the_gravest_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    near = [standing(0, 0), lambda t: (1.0 - min(max(t, 0.0), 1.5) * 0.6, 0.0, 0.0), standing(0, 1)]
+    result = result_of(paths=near)
+    kinds = [mark.kind for mark in marks(result)]
+    monkeypatch.setattr(module, "MARKS_MAX", kinds.count(VIOLATION))
+    assert {mark.kind for mark in marks(result)} == {VIOLATION}
