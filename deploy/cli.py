@@ -108,6 +108,7 @@ COMMANDS: Final = (
         ROVER_SIMULATOR, "local.rover_simulator", "an ArduPilot Rover to try bridges with, over UDP and TCP"
     ),
     Command("view", "local.view", "show a recorded run in the browser, at any moment of it"),
+    Command("film", "local.film", "make a film of a run, for a slide or a README"),
     Command("report", "local.report", "rebuild figures, metrics and report of a run from its recording"),
     Command("export", "local.export", "write a run's data as tables"),
     Command("new", "local.new", "write a commented fleet file to start from"),

@@ -23,6 +23,7 @@ BY_OTHERS: Final = {
         deploy/commands/hosts/router
         deploy/commands/local/check
         deploy/commands/local/export
+        deploy/commands/local/film
         deploy/commands/local/new
         deploy/commands/local/preflight
         deploy/commands/local/report
