@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from errno import ENOSPC
 from importlib import import_module
@@ -32,7 +32,10 @@ if TYPE_CHECKING:
     from deploy.processes.forking import ForkServer
 
 ROVER_SIMULATOR: Final = "rover-simulator"
+COMPLETION: Final = "completion"
 FORKS: Final = "run"
+MEANT_MAX: Final = 3
+"""So many commands are offered for one that there is not."""
 THREADS_S: Final = 1.0
 """So long a thread of others may go on after the command."""
 
@@ -52,67 +55,102 @@ class Command(NamedTuple):
 
 
 # Imported is only the module of the command that is asked for: `--help` and a stop have to be quick.
-COMMANDS: Final = (
-    Command("run", "local.run", "drive the fleet with processes on this machine, and report"),
-    Command("simulate", "local.simulate", "drive the fleet in virtual time: fast, and the same every time"),
-    Command("check", "local.check", "say what the fleet will do and all that is wrong with it"),
-    Command(
-        "preflight",
-        "local.preflight",
-        "look at the vehicles of a fleet before a drive: what is well, what is not, what to do",
+GROUPS: Final[Mapping[str, Sequence[Command]]] = {
+    "try a fleet on this machine": (
+        Command("check", "local.check", "say what the fleet will do and all that is wrong with it"),
+        Command("run", "local.run", "drive the fleet with processes on this machine, and report"),
+        Command(
+            "simulate", "local.simulate", "drive the fleet in virtual time: fast, and the same every time"
+        ),
+        Command("new", "local.new", "write a commented fleet file to start from"),
     ),
-    Command("keys", "hosts.keys", "make and renew the certificates that a secured fleet trusts"),
-    Command("router", "hosts.router", "run a Zenoh router for a fleet, until Ctrl-C"),
-    Command("up", "hosts.up", "bring a fleet up on its hosts"),
-    Command("list", "running.list_fleets", "say which fleets run here or are up, and how to stop each"),
-    Command("status", "hosts.status", "say what each process of a fleet does, on its host or here"),
-    Command("logs", "hosts.logs", "print what the processes of a fleet say, on their hosts or here"),
-    Command("fetch", "hosts.fetch", "bring what robots recorded into one run's folder"),
-    Command("down", "hosts.down", "end a fleet on its hosts"),
-    Command(
-        "export-deployment",
-        "hosts.export_deployment",
-        "write a fleet as a folder for Ansible, to bring up hundreds of robots",
+    "study what was driven, or drive it many times": (
+        Command("view", "local.view", "show a recorded run in the browser, at any moment of it"),
+        Command("report", "local.report", "rebuild figures, metrics and report of a run from its recording"),
+        Command("export", "local.export", "write a run's data as tables"),
+        Command("film", "local.film", "make a film of a run, for a slide or a README"),
+        Command(
+            "sweep",
+            "local.sweep",
+            "drive the fleet many times over a grid of its fields, in virtual time, on all cores",
+        ),
+        Command(
+            "chaos",
+            "local.chaos",
+            "drive random scenarios with faults, orders and obstacles, and judge each by every oracle",
+        ),
     ),
-    Command("firewall", "hosts.firewall", "print a firewall for hosts, against strangers that flood ports"),
-    Command("drive", "running.drive", "drive a fleet that is up, and report"),
-    Command("stop", "running.stop", "stop every robot, until `handfast resume`"),
-    Command(
-        "resume",
-        "running.resume",
-        "let robots drive again after a stop, or after their operators took them over and gave them back",
+    "watch, stop and change a running fleet": (
+        Command("list", "running.list_fleets", "say which fleets run here or are up, and how to stop each"),
+        Command("status", "hosts.status", "say what each process of a fleet does, on its host or here"),
+        Command("logs", "hosts.logs", "print what the processes of a fleet say, on their hosts or here"),
+        Command("stop", "running.stop", "stop every robot, until `handfast resume`"),
+        Command(
+            "resume",
+            "running.resume",
+            "let robots drive again after a stop, or after their operators took them over and gave them back",
+        ),
+        Command(
+            "heartbeat",
+            "running.heartbeat",
+            "hold a fleet's dead-man's switch: it drives while this command runs",
+        ),
+        Command("reshape", "running.reshape", "give a running fleet another formation or trajectory"),
+        Command("join", "running.join", "give a robot in reserve a place in a running fleet's formation"),
+        Command("leave", "running.leave", "take a robot out of a running fleet's formation"),
+        Command("replace", "running.replace", "give a robot's place and edges to one in reserve"),
+        Command(
+            "remove", "running.remove", "say that the body of a silent robot has been carried off the field"
+        ),
+        Command("faults", "running.faults", "let links of a running fleet fail on purpose, and heal them"),
     ),
-    Command("join", "running.join", "give a robot in reserve a place in a running fleet's formation"),
-    Command("leave", "running.leave", "take a robot out of a running fleet's formation"),
-    Command("replace", "running.replace", "give a robot's place and edges to one in reserve"),
-    Command("remove", "running.remove", "say that the body of a silent robot has been carried off the field"),
-    Command("reshape", "running.reshape", "give a running fleet another formation or trajectory"),
-    Command(
-        "heartbeat",
-        "running.heartbeat",
-        "hold a fleet's dead-man's switch: it drives while this command runs",
+    "prepare real robots": (
+        Command(
+            ROVER_SIMULATOR,
+            "local.rover_simulator",
+            "an ArduPilot Rover to try bridges with, over UDP and TCP",
+        ),
+        Command("signing", "hosts.signing", "give vehicles the keys with which they and their bridges sign"),
+        Command(
+            "preflight",
+            "local.preflight",
+            "look at the vehicles of a fleet before a drive: what is well, what is not, what to do",
+        ),
     ),
-    Command("faults", "running.faults", "let links of a running fleet fail on purpose, and heal them"),
-    Command("signing", "hosts.signing", "give vehicles the keys with which they and their bridges sign"),
-    Command(
-        "sweep",
-        "local.sweep",
-        "drive the fleet many times over a grid of its fields, in virtual time, on all cores",
+    "drive a fleet on its own computers": (
+        Command("keys", "hosts.keys", "make and renew the certificates that a secured fleet trusts"),
+        Command(
+            "firewall", "hosts.firewall", "print a firewall for hosts, against strangers that flood ports"
+        ),
+        Command("router", "hosts.router", "run a Zenoh router for a fleet, until Ctrl-C"),
+        Command("up", "hosts.up", "bring a fleet up on its hosts"),
+        Command("drive", "running.drive", "drive a fleet that is up, and report"),
+        Command("fetch", "hosts.fetch", "bring what robots recorded into one run's folder"),
+        Command("down", "hosts.down", "end a fleet on its hosts"),
+        Command(
+            "export-deployment",
+            "hosts.export_deployment",
+            "write a fleet as a folder for Ansible, to bring up hundreds of robots",
+        ),
     ),
-    Command(
-        "chaos",
-        "local.chaos",
-        "drive random scenarios with faults, orders and obstacles, and judge each by every oracle",
+    "set up your shell": (
+        Command(COMPLETION, "local.completion", "print what has the tab key complete commands in your shell"),
     ),
-    Command(
-        ROVER_SIMULATOR, "local.rover_simulator", "an ArduPilot Rover to try bridges with, over UDP and TCP"
-    ),
-    Command("view", "local.view", "show a recorded run in the browser, at any moment of it"),
-    Command("film", "local.film", "make a film of a run, for a slide or a README"),
-    Command("report", "local.report", "rebuild figures, metrics and report of a run from its recording"),
-    Command("export", "local.export", "write a run's data as tables"),
-    Command("new", "local.new", "write a commented fleet file to start from"),
-)
+}
+"""Every command, by what a person wants; in the order of use."""
+
+COMMANDS: Final = tuple(command for commands in GROUPS.values() for command in commands)
+
+DESCRIPTION: Final = "Drives a group of mobile robots in formation, each on its own."
+BEGIN: Final = f"""\
+{DESCRIPTION} To begin with:
+
+  handfast check delta    what a fleet will do, and all that is wrong with it
+  handfast run delta      drive it with processes on this machine, and report
+  handfast new mine       write mine.toml, a commented fleet file of your own
+
+`handfast --help` lists all commands, `handfast COMMAND --help` says what one takes.
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -124,11 +162,15 @@ def main(argv: Sequence[str] | None = None) -> int:
                 from deploy.commands.local.rover_simulator import run
 
                 return run(arguments[1:])
-            asked = next((word for word in arguments if not word.startswith("-")), "")
+            if not arguments:
+                print(BEGIN, end="", flush=True)
+                return PASSED
+            asked = _asked(arguments)
             try:
                 with _fork_server(asked, arguments) as server:
-                    options = _parser([asked]).parse_args(arguments)
-                    options.server = server
+                    parser = _parser(None if asked == COMPLETION else [asked])
+                    options = parser.parse_args(arguments)
+                    options.server, options.parser = server, parser
                     result: int = options.command(options)
             except SystemExit:
                 print(end="", flush=True)
@@ -153,6 +195,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Error as error:
         print(f"handfast: {error}", file=sys.stderr)
         return BAD_INPUT
+
+
+def _asked(arguments: Sequence[str]) -> str:
+    """The command that is asked for, "" where there is none.
+
+    Raises:
+        Error: there is no such command.
+    """
+    asked = next((word for word in arguments if not word.startswith("-")), "")
+    # What stands before it may be --help or --version, which come first.
+    if asked != arguments[0] or asked in (names := [command.name for command in COMMANDS]):
+        return asked
+    from agent.common.wording import did_you_mean, show  # here: `--help` does without
+
+    question = did_you_mean(asked, names, most=MEANT_MAX)
+    hint = f"{question} " if question else ""
+    raise Error(f"there is no command {show(asked)}: {hint}`handfast --help` lists all")
 
 
 def _fork_server(asked: str, arguments: Collection[str]) -> AbstractContextManager[ForkServer | None]:
@@ -217,20 +276,41 @@ def _write_out() -> None:
 
 def _parser(asked: Collection[str] | None = None) -> argparse.ArgumentParser:
     """The parser of the command line, with the arguments of the commands that are `asked` for, or of all."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="handfast",
-        description="Drives a group of mobile robots in formation, each on its own.",
+        description=DESCRIPTION,
         epilog="FLEET is a fleet file (TOML) or the name of a bundled one: "
         f"{', '.join(bundled())}. Exit status: 0 fine; 1 the verdict failed; 2 bad input; 130 after Ctrl-C.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(
+        title="commands", metavar="COMMAND", required=True, parser_class=argparse.ArgumentParser
+    )
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.help, description=command.help)
         # The simulator reads its arguments by itself: `main` hands them on before they are looked at here.
         if command.name != ROVER_SIMULATOR and (asked is None or command.name in asked):
             import_module(f"deploy.commands.{command.module}").add_arguments(sub)
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose help has the commands in their groups."""
+
+    def format_help(self) -> str:
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        listed = {
+            title: [argparse.Action([], each.name, metavar=each.name, help=each.help) for each in commands]
+            for title, commands in GROUPS.items()
+        }
+        for title, actions in [*listed.items(), ("options", self._get_optional_actions())]:
+            formatter.start_section(title)
+            formatter.add_arguments(actions)
+            formatter.end_section()
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
 
 
 class _Version(argparse.Action):

@@ -19,7 +19,7 @@ from typing import Any, Final, Literal, NoReturn, Union, get_args, get_origin
 from agent.common.errors import Error
 from agent.common.reader import Reader
 from agent.common.settings import Entry, T, entries, section_entry
-from agent.common.wording import joined, nearest, printable, show
+from agent.common.wording import did_you_mean, joined, printable, show
 
 _REFERENCE: Final = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*:[^\W\d]\w*")
 _NAME: Final = re.compile(r"[^\W\d][\w-]{0,60}")
@@ -74,8 +74,11 @@ def register(name: str, plugin: type[Any]) -> None:
     _registered[name] = plugin
 
 
-def resolve(reference: str, group: str) -> str:
+def resolve(reference: str, group: str, also: Iterable[str] = ()) -> str:
     """The reference as ``package.module:Class`` where it is an entry point's name, else as it is.
+
+    Args:
+        also: names that may stand there too, and may have been meant.
 
     Raises:
         PluginError: it is neither spelled as a reference nor a known name.
@@ -88,9 +91,8 @@ def resolve(reference: str, group: str) -> str:
     found = _entry_points(group)
     if reference not in found:
         known = sorted(filter(_NAME.fullmatch, {*_registered, *found}))
-        near = nearest(reference, known)
         there_are = f"names here are: {', '.join(known)}" if known else f"no entry point is in {group}"
-        hint = f"did you mean {near}?" if near else there_are
+        hint = did_you_mean(reference, [*also, *known]) or there_are
         raise PluginError(f"no plugin has the name {show(reference)}; {hint}")
     value = next(iter(found[reference]))
     if len(found[reference]) > 1:
@@ -101,17 +103,18 @@ def resolve(reference: str, group: str) -> str:
     return value
 
 
-def load(reference: str, group: str, base: str = "") -> type[Any]:
+def load(reference: str, group: str, base: str = "", also: Iterable[str] = ()) -> type[Any]:
     """The class of a reference.
 
     Args:
         group: of entry points, where a name is looked for.
         base: ``module:Class`` of ours that it must be a subclass of; "" for any class.
+        also: names that may stand there too, and may have been meant.
 
     Raises:
         PluginError: there is none, or it is no such class.
     """
-    resolved = resolve(reference, group)
+    resolved = resolve(reference, group, also)
     plugin = _registered[reference] if resolved in _registered else _imported(resolved)
     if base:
         require(plugin, base, f"{reference}:")
@@ -278,9 +281,8 @@ def _imported(reference: str) -> Any:
     names, plugin = attempt(found, failed)
     if plugin is _ABSENT:
         classes = [name for name, value in names.items() if issubclass(type(value), type)]
-        near = nearest(class_name, classes)
         own = [name for name in classes if _module(names[name]) == module_name]
-        hint = f"did you mean {near}?" if near else f"it has: {', '.join(own) or 'no class'}"
+        hint = did_you_mean(class_name, classes) or f"it has: {', '.join(own) or 'no class'}"
         no_class = f"{reference}: there is no {class_name} in {module_name}; {hint}"
         raise PluginError(ours if top in _OURS else no_class)
     return plugin

@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin
 
 from agent.common.quantities import UNITS, Unit, quantity
 from agent.common.settings import Entry, Sectioned, Setting, entries
-from agent.common.wording import describe, example, joined, key_text, nearest, printable, show
+from agent.common.wording import describe, did_you_mean, example, joined, key_text, printable, show
 
 # What would move a terminal's cursor or turn the direction of writing.
 _CONTROL: Final = re.compile("[\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
@@ -224,9 +224,9 @@ class Reader:
                 if option == raw and isinstance(option, bool) is isinstance(raw, bool):  # true is not 1
                     return option
             options = {str(option): option for option in args}
-            near = self._nearest(raw, options) if isinstance(raw, str) else None
-            hinted = f"; did you mean {show(options[near])}?" if near else ""
-            self.add(place, f"must be {describe(hint)}, got {show(raw)}{hinted}")
+            spelled = {name: show(option) for name, option in options.items()}
+            question = self._did_you_mean(raw, options, spelled.__getitem__) if isinstance(raw, str) else ""
+            self.add(place, f"must be {describe(hint)}, got {show(raw)}{question and f'; {question}'}")
             return _INVALID
         elif origin is tuple:
             if isinstance(raw, (list, tuple)):
@@ -306,11 +306,11 @@ class Reader:
         is_section = isinstance(value, Mapping) and issubclass(model, Sectioned)
         kind = "table" if model is self._root or is_section else "field"
         elsewhere = [home for e in entries(self._root).values() for home in self._homes(e, key)]
-        near = self._nearest(key, names)
+        question = self._did_you_mean(key, names)
         if is_section and issubclass(model, tuple(self.unread)):
             return
-        if near is not None:
-            self.add(place, f"unknown {kind}; did you mean {near}?")
+        if question:
+            self.add(place, f"unknown {kind}; {question}")
         elif elsewhere:
             homes = " or ".join(f"[{name}]" for name in elsewhere)
             self.add(place, f"unknown {kind}; {key} belongs in {homes}")
@@ -319,11 +319,9 @@ class Reader:
         else:
             self.add(place, f"unknown {kind}; known here: {', '.join(names)}")
 
-    def _nearest(self, name: str, names: Iterable[str]) -> str | None:
+    def _did_you_mean(self, name: str, names: Iterable[str], spelled: Callable[[str], str] = str) -> str:
         self._suggestions += 1
-        if self._suggestions > _SUGGESTIONS_MAX:
-            return None
-        return nearest(name, names)
+        return did_you_mean(name, names, spelled) if self._suggestions <= _SUGGESTIONS_MAX else ""
 
     def override(self, raw: dict[str, Any], text: str) -> None:
         """Puts one ``table.field=value`` of the command line into the raw document, before it is read.

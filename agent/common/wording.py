@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Final, Literal, Union, get_args, get_origin
 
 from agent.common.settings import Setting
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
+_BEGINNING_MIN: Final = 3
+"""What is shorter begins too many names to be one of them, cut off."""
 
 
 def show(value: object, limit: int = 60) -> str:
@@ -48,13 +50,26 @@ def key_text(key: object) -> str:
     return text if _BARE_KEY.fullmatch(text) else show(text, 30)
 
 
-def nearest(name: str, names: Iterable[str]) -> str | None:
-    """The most similar of these names, None when none is similar."""
+def did_you_mean(name: str, names: Iterable[str], spelled: Callable[[str], str] = str, most: int = 1) -> str:
+    """The question "did you mean A or B?" with the names that are most like a name that nothing has; "" when
+    none is like it.
+
+    Args:
+        spelled: how a name is shown.
+        most: so many of them.
+    """
     from difflib import get_close_matches  # here: a robot starts faster without it
 
     if len(name) > 60:  # slow to compare
-        return None
-    return next(iter(get_close_matches(name, list(names), n=1, cutoff=0.6)), None)
+        return ""
+    known = list(names)
+    near = get_close_matches(name, known, n=most, cutoff=0.6)
+    if len(name) >= _BEGINNING_MIN:
+        near += [each for each in known if each.startswith(name) and each not in near][: most - len(near)]
+    if not near:
+        return ""
+    *first, last = map(spelled, near)
+    return f"did you mean {', '.join(first)}{' or ' if first else ''}{last}?"
 
 
 def joined(place: str, key: object) -> str:

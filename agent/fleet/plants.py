@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from agent.common import plugins
 from agent.common.reader import Reader
 from agent.common.settings import Entry, section_entry
-from agent.common.wording import nearest, show
+from agent.common.wording import did_you_mean, show
 from agent.fleet.mavlink_section import LINK_FIELDS, MavlinkSection, check_links
 
 GROUP: Final = "handfast.plants"
@@ -131,8 +131,8 @@ def load(reference: str) -> type[Any]:
     except plugins.PluginError as error:
         if ":" in reference:
             raise
-        near = nearest(reference, KINDS)
-        hint = f"; did you mean {show(near)}?" if near else f": {error}"
+        question = did_you_mean(reference, KINDS, show)
+        hint = f"; {question}" if question else f": {error}"
         known = ", ".join(show(name) for name in KINDS)
         wrong = f"must be one of {known}, or a plugin, got {show(reference)}{hint}"
         raise plugins.PluginError(wrong) from None

@@ -53,7 +53,7 @@ def load_law(reference: str) -> type[Any]:
     Raises:
         agent.common.plugins.PluginError: there is none.
     """
-    return plugins.load(reference, LAWS_GROUP, "agent.control.law_plugin:Law")
+    return plugins.load(reference, LAWS_GROUP, "agent.control.law_plugin:Law", LAWS)
 
 
 @dataclass(frozen=True, slots=True)

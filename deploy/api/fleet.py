@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypedDict, TypeVar, Unpack
 
 from agent.common.errors import Error, packages_named
-from agent.common.wording import nearest
+from agent.common.wording import did_you_mean
 from agent.fleet import model
 from agent.fleet.loading import add_orders, add_scenario, fleet_tables, parse_fleet, read_text, to_dict
 from deploy.api.changes import Classes, in_words_of_python, override, own_classes
@@ -261,8 +261,7 @@ def names_known(function: Callable[P, R]) -> Callable[P, R]:
     def checked(*args: P.args, **named: P.kwargs) -> R:
         for name in named:
             if name not in known:
-                near = nearest(name, known)
-                hint = f"did you mean {near}?" if near else f"there are {', '.join(known)}"
+                hint = did_you_mean(name, known) or f"there are {', '.join(known)}"
                 raise TypeError(
                     f"handfast.{function.__name__}() got an unexpected keyword argument {name!r}; {hint}"
                 )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.common.errors import Error
-from agent.common.wording import show
+from agent.common.wording import did_you_mean, show
 from agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet.model import Fleet
 from agent.fleet.sections import LAWS
@@ -63,9 +63,8 @@ def _path(name: str, folder: Path, what: str) -> Path:
         return path
     if name in known:
         return folder / f"{name}.toml"
-    raise InputError(
-        f"{name}: no such file, and no bundled {what} of that name; there are: {', '.join(known)}"
-    )
+    hint = did_you_mean(name, known) or f"there are: {', '.join(known)}"
+    raise InputError(f"{name}: no such file, and no bundled {what} of that name; {hint}")
 
 
 def describe(parser: argparse.ArgumentParser, more: str) -> None:

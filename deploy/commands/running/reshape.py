@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from",
         dest="source",
-        metavar="FILE",
+        metavar="FLEET",
         help="take up [formation] and [trajectory] of a fleet file or bundled fleet, as far as it has them",
     )
     parser.add_argument(

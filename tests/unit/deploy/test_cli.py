@@ -14,7 +14,7 @@ import pytest
 from agent.fleet.loading import load_fleet
 from deploy.check.check import check
 from deploy.check.load.capacity import Machine
-from deploy.cli import COMMANDS, _parser, main
+from deploy.cli import COMMANDS, GROUPS, _parser, main
 from deploy.console.data_files import FLEETS
 
 ROOT = Path(__file__).parents[3]
@@ -135,8 +135,9 @@ def loaded_by(*arguments: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_help_loads_no_command_and_nothing_of_fleets() -> None:
-    loaded = loaded_by("--help")
+@pytest.mark.parametrize("arguments", [("--help",), ()])
+def test_help_loads_no_command_and_nothing_of_fleets(arguments: tuple[str, ...]) -> None:
+    loaded = loaded_by(*arguments)
     assert not loaded & {*HEAVY, "numpy", "bridges", "plant"}
     light = {"agent.common", "agent.common.errors", "agent.common.exit"}
     assert {name for name in loaded if name.startswith("agent.")} == light
@@ -164,6 +165,58 @@ def test_every_command_has_one_line_of_help_and_a_module() -> None:
     assert len(set(names)) == len(names)
     _parser()  # takes the arguments of all of them
     assert all(command.help and "\n" not in command.help for command in COMMANDS)
+
+
+def test_help_has_each_command_once_in_the_group_of_what_it_is_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    listed, _, after = capsys.readouterr().out.partition("\noptions:\n")
+    parts = re.findall(r"^(\w.*):\n((?:  .*\n)+)", listed, re.MULTILINE)
+    shown = [(title, [tuple(line.split(None, 1)) for line in part.splitlines()]) for title, part in parts]
+    assert shown == [(title, [(each.name, each.help) for each in group]) for title, group in GROUPS.items()]
+    assert {title.split()[0] for title in GROUPS} == {"try", "study", "watch,", "prepare", "drive", "set"}
+    assert "--version" in after
+    assert "FLEET is a fleet file" in after
+
+
+def test_without_a_command_it_says_what_to_begin_with(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    assert told.out.startswith("Drives a group of mobile robots in formation")
+    assert "`handfast --help` lists all commands" in told.out
+    shown = re.findall(r"^  handfast (\w+ \w+)  ", told.out, re.MULTILINE)
+    assert [line.split()[0] for line in shown] == ["check", "run", "new"]
+    for line in shown:
+        _parser().parse_args(line.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("rnu", "did you mean run? "),
+        ("sim", "did you mean simulate? "),
+        ("re", ""),
+        ("repot", "did you mean report or export? "),
+        ("help", ""),
+        ("", ""),
+    ],
+)
+def test_a_command_that_there_is_not(name: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "delta"]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err == f'handfast: there is no command "{name}": {hint}`handfast --help` lists all\n'
+
+
+def test_an_option_before_a_command_is_looked_at_first(capsys: pytest.CaptureFixture[str]) -> None:
+    for option, said in (("--help", "usage: handfast"), ("--version", "handfast ")):
+        with pytest.raises(SystemExit, match="0"):
+            main([option, "rnu"])
+        assert capsys.readouterr().out.startswith(said)
 
 
 def test_orders_need_no_numerics_before_they_are_sent() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from agent.common.reader import Problem
-from agent.common.wording import printable, show
+from agent.common.wording import did_you_mean, printable, show
 
 
 def test_shown_values_are_short_and_on_one_line() -> None:
@@ -18,3 +18,22 @@ def test_shown_values_are_short_and_on_one_line() -> None:
         assert text.isprintable()
     assert printable("a\tb\ud800") == "a\\tb\\ud800"
     assert str(Problem("", "only this")) == "only this"
+
+
+def test_what_was_meant_is_like_what_was_written() -> None:
+    names = ("drive", "down", "resume", "remove", "reserve", "export-deployment")
+    for name, most, question in (
+        ("drvie", 1, "did you mean drive?"),
+        ("driv", 3, "did you mean drive?"),
+        ("reserv", 1, "did you mean reserve?"),
+        ("reserv", 2, "did you mean reserve or resume?"),
+        ("reseve", 3, "did you mean reserve, resume or remove?"),
+        ("exp", 1, "did you mean export-deployment?"),  # its beginning, which is too little to be like it
+        ("ex", 1, ""),
+        ("", 1, ""),
+        ("nothing", 3, ""),
+        ("drive" * 20, 1, ""),
+    ):
+        assert did_you_mean(name, names, most=most) == question, name
+    assert did_you_mean("drvie", iter(names), show) == 'did you mean "drive"?'
+    assert did_you_mean("drive", ()) == ""

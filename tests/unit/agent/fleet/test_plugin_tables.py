@@ -160,6 +160,19 @@ def test_a_recording_is_looked_at_where_its_plugins_are_not():
         (["robot.3.plant=no.such:Thing"], None, DRAG, "--set robot.3.plant: no.such:Thing: there is no "),
         ([], "spring", SMALL, "control.spring: table [control.spring] is missing: it must give"),
         ([], "sprig", SMALL, '--law: must be one of paper, edge, joint, penalty, or a plugin, got "sprig"'),
+        (
+            [],
+            "jiont",
+            SMALL,
+            '--law: must be one of paper, edge, joint, penalty, or a plugin, got "jiont": '
+            'no plugin has the name "jiont"; did you mean joint?',
+        ),
+        (
+            ["control.law=jiont"],
+            None,
+            SMALL,
+            '--set control.law: no plugin has the name "jiont"; did you mean joint?',
+        ),
         (["control.law=a.b:C"], None, SMALL, "--set control.law: a.b:C: there is no module a"),
         (["control.law=3", "control.spring.stiffness=1"], None, SMALL, '--set control.law: "3": a class is'),
     ],

@@ -33,9 +33,21 @@ def test_a_folder_that_is_no_fleet_file(tmp_path: Path) -> None:
 
 
 def test_a_name_that_nothing_has() -> None:
-    with pytest.raises(InputError, match=r"^dleta: no such file, and no bundled fleet .*: delta, "):
-        fleet_path("dleta")
+    with pytest.raises(InputError, match=r"^other: no such file, and no bundled fleet .*: delta, "):
+        fleet_path("other")
     assert fleet_path("dleta.toml") == Path("dleta.toml")  # the one who reads it says that it is not there
+
+
+def test_a_name_that_is_like_one_there_is() -> None:
+    for path, name, what, meant in (
+        (fleet_path, "dleta", "fleet", "delta"),
+        (fleet_path, "obs", "fleet", "obstacles"),
+        (scenario_path, "partitoin", "scenario", "partition"),
+    ):
+        with pytest.raises(InputError) as caught:
+            path(name)
+        said = f"{name}: no such file, and no bundled {what} of that name; did you mean {meant}?"
+        assert str(caught.value) == said
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "x/" * 3000, "é" * 200])
