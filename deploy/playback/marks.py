@@ -82,8 +82,10 @@ def _states(recording: Recording) -> list[Mark]:
     changes: dict[tuple[float, str], list[int]] = {}
     for robot, data in recording.robots.items():
         away = False
-        for change in data.status.changes():
-            if change.t_s < 0.0 or change.state in _QUIET:
+        told = data.status.changes()
+        before = [change._replace(t_s=0.0) for change in told if change.t_s < 0.0]
+        for change in [*before[-1:], *(change for change in told if change.t_s >= 0.0)]:
+            if change.state in _QUIET:
                 continue
             if change.state == State.STOPPED.value and change.t_s >= recording.planned_s:
                 continue

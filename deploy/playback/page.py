@@ -12,6 +12,7 @@ from deploy.console.data_files import PAGE
 
 MODULES: Final = ("main.js", "plan.js", "panels.js", "curves.js", "timeline.js", "recorded.js")
 STYLE: Final = "style.css"
+_BESIDE: Final = {f"handfast/{name}": f"./{name}" for name in MODULES}
 _INDEX: Final = "index.html"
 _STYLE_PLACE: Final = "<!--STYLE-->"
 _SCRIPT_PLACE: Final = "<!--SCRIPT-->"
@@ -24,15 +25,13 @@ def asset(name: str) -> bytes | None:
 
 def served() -> bytes:
     """The page as a server gives it, which gives its files beside it."""
-    imports = {f"handfast/{name}": f"./{name}" for name in MODULES}
-    script = f'{_import_map(imports)}<script type="module" src="./main.js"></script>'
+    script = f'{_import_map(_BESIDE)}<script type="module" src="./main.js"></script>'
     return _page(f'<link rel="stylesheet" href="./{STYLE}">', script).encode()
 
 
 def served_policy() -> str:
     """Content-Security-Policy of `served`: nothing but its own files, and no other server."""
-    imports = {f"handfast/{name}": f"./{name}" for name in MODULES}
-    digest = base64.b64encode(hashlib.sha256(_map_text(imports).encode()).digest()).decode()
+    digest = base64.b64encode(hashlib.sha256(_map_text(_BESIDE).encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'self' 'sha256-{digest}'; style-src 'self'; connect-src 'self'; "
         "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

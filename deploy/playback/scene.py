@@ -6,6 +6,8 @@ from typing import Any, Final
 
 from agent.control.boundaries import Circle, fence_of, obstacles_of
 from agent.fleet.loading import law_name
+from deploy.analysis.stability import SETTLED
+from deploy.playback.looks import LOOKS
 from deploy.playback.marks import marks
 from deploy.playback.series import series
 from deploy.playback.track import COLUMNS, Track
@@ -18,7 +20,9 @@ FORMAT: Final = 1
 def scene(result: RunResult, track: Track) -> dict[str, Any]:
     """The scene as JSON values, with which a page can read the `track`.
 
-    Lengths in m (W), times in s of fleet time. States: of each robot [t, state, why], one after the other.
+    Lengths in m (W), times in s of fleet time. `states`: of each robot [t, state, why], one after the other;
+    `looks`: of each state one of those of `deploy.playback.looks`; `edges`: pairs of places in `robots`;
+    `settled`: the share of its distance by which an edge may be off.
     """
     recording, analysis, fleet = result.recording, result.analysis, result.fleet
     fence = fence_of(fleet)
@@ -30,6 +34,8 @@ def scene(result: RunResult, track: Track) -> dict[str, Any]:
         "epoch_ns": None if recording.epoch_ns is None else str(recording.epoch_ns),
         "end_s": float(analysis.grid[-1]),
         "safe_m": analysis.safe_m,
+        "settled": SETTLED,
+        "looks": dict(LOOKS),
         "robots": [{"id": each.id, "hand_m": each.hand_offset_m} for each in fleet.robots],
         "edges": analysis.edges.tolist(),
         "obstacles": [

@@ -77,9 +77,9 @@ class Track:
         robots[:, :, 4:6] = analysis.desired[chosen]
         for index, data in enumerate(recording.robots.values()):
             body, hand = data.body, data.hand
+            heading = data.heading(t)
+            robots[:, index, 2] = np.arctan2(np.sin(heading), np.cos(heading))
             if len(body):
-                heading = np.interp(t, body.t, np.unwrap(body["heading"]))
-                robots[:, index, 2] = np.arctan2(np.sin(heading), np.cos(heading))
                 robots[:, index, 3] = np.interp(t, body.t, body["speed"])
             if len(data.status):
                 robots[:, index, 6], robots[:, index, 7] = _of_statuses(data.status, t)

@@ -53,6 +53,17 @@ class RobotData:
         table = self.truth if len(self.truth) else self.plant
         return table.only(table["healthy"] > 0.0)
 
+    @cached_property
+    def _turned(self) -> Floats:
+        """Headings (k,) rad of `body`, without jumps of a whole turn."""
+        turned: Floats = np.unwrap(self.body["heading"])
+        return turned
+
+    def heading(self, t: Floats) -> Floats:
+        """Headings (k,) rad, counter-clockwise from east, at `t` (k,) s: between poses the shorter way round,
+        held before the first and after the last, not wrapped; NaN without any pose."""
+        return np.interp(t, self.body.t, self._turned) if len(self.body) else np.full(len(t), np.nan)
+
 
 class LiveFaults(NamedTuple):
     """One message about live fault rules, and when it was received (ns, wall clock).

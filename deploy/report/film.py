@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from math import cos, sin
 from pathlib import Path
 from typing import Final
@@ -23,22 +23,22 @@ from numpy.typing import NDArray
 
 from agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
 from agent.formation.points import Floats
-from agent.supervision.state_machine import DRIVING_NAMES, State
+from deploy.analysis.stability import SETTLED
+from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
 from deploy.playback.series import nearest
 from deploy.recording.recorder import RecordingError
 from deploy.report.plotting import DASHED, GREY, INK, PALETTE, RED, draw_boundary, styled, view
 from deploy.verdict.run_result import RunResult
 
 FORMATS: Final = ("mp4", "gif")
-FPS: Final = 20
-WIDTH_PX: Final = 960
 LONG_S: Final = 30.0
 """A drive that is longer is shown faster, so that its film takes so long, unless a speed is asked for."""
 TRAIL_S: Final = 8.0
-SETTLED: Final = 0.05
-"""An edge that is off by less of its distance is drawn as one that holds, as on the page."""
+NAMES_MAX: Final = 50
+"""Robots of a larger fleet have no numbers."""
 _HOLDS: Final = PALETTE[2]
 _OFF: Final = PALETTE[4]
+_COLORS: Final[Mapping[str, str]] = {DRIVES: INK, TROUBLED: _OFF, FAILED: RED, RESTS: GREY, UNREADY: GREY}
 _DPI: Final = 100
 
 
@@ -46,36 +46,48 @@ class FilmError(RecordingError):
     """A film that cannot be made; the text is one line."""
 
 
+def name_for() -> str:
+    """The name of a film of the best format that this machine can write."""
+    return "film.mp4" if shutil.which(_FFMPEG) else "film.gif"
+
+
 def film(
     result: RunResult,
     out: Path,
     *,
+    fps: int,
+    width_px: int,
     speed: float | None = None,
-    fps: int = FPS,
-    width_px: int = WIDTH_PX,
     shown: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> float:
     """Writes the film of a run to `out`, an .mp4 or .gif; gives how long it takes to see, s.
 
     Args:
-        speed: so many times as fast as the drive was; None: as fast, or faster where that takes `LONG_S`.
         fps: pictures a second.
         width_px: of the picture; its height follows the ground.
-        shown: told after each picture, how many are done and how many there are.
+        speed: so many times as fast as the drive was; None: as fast, or faster where that takes `LONG_S`.
+        shown: told with each picture, how many there have been and how many there are.
 
     Raises:
-        FilmError: no such format, an mp4 without ffmpeg, or it cannot be written. No half film is left.
+        FilmError: no such format, an mp4 without ffmpeg, it cannot be written, or no robot was ever seen. No
+            half film is left.
     """
     write = _writer(out)
+    if not np.isfinite(result.analysis.hands).any():
+        raise FilmError("there is no film of this run: it has no place of any robot")
     end_s = float(result.analysis.grid[-1])
     pace = max(1.0, end_s / LONG_S) if speed is None else speed
     count = max(1, round(end_s / pace * fps))
     with styled():
         picture = _Picture(result, width_px)
-        with _whole(out) as part, write(part, picture.size, fps) as put:
+
+        def pictures() -> Iterator[Pixels]:
             for number in range(count):
-                put(picture.at(min(number * pace / fps, end_s)))
                 shown(number + 1, count)
+                yield picture.at(min(number * pace / fps, end_s))
+
+        with _whole(out) as part:
+            write(part, picture.size, fps, pictures())
     return count / fps
 
 
@@ -97,31 +109,31 @@ def _whole(out: Path) -> Iterator[Path]:
 # --- writers ---------------------------------------------------------------------------------
 
 Pixels = NDArray[np.uint8]
-Put = Callable[[Pixels], object]
-"""Takes one picture: (height, width, 4) bytes, RGBA."""
+"""A picture: (height, width, 4), RGBA."""
+Writer = Callable[[Path, tuple[int, int], int, Iterator[Pixels]], None]
+"""Writes pictures of a width and height (px), so many a second, to a file."""
 
-
-def _writer(out: Path) -> Callable[[Path, tuple[int, int], int], AbstractContextManager[Put]]:
-    """What writes a film of the format that the name asks for; raises as `film`."""
-    kind = out.suffix.removeprefix(".").lower()
-    if kind not in FORMATS:
-        raise FilmError(f"{out}: a film is an .mp4 or a .gif; give it such a name")
-    if shutil.which("ffmpeg"):
-        return _ffmpeg
-    if kind == "mp4":
-        raise FilmError(f"{out}: an mp4 needs ffmpeg (Debian, Ubuntu: apt install ffmpeg); a .gif does not")
-    return _pillow
-
-
+_FFMPEG: Final = "ffmpeg"
 _ENCODERS: Final = {
     ".mp4": ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"],
     ".gif": ["-filter_complex", "split[a][b];[a]palettegen=stats_mode=diff[p];[b][p]paletteuse=dither=none"],
 }
 
 
-@contextmanager
-def _ffmpeg(path: Path, size: tuple[int, int], fps: int) -> Iterator[Put]:
-    command = ["ffmpeg", "-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgba"]
+def _writer(out: Path) -> Writer:
+    """What writes a film of the format that the name asks for; raises as `film`."""
+    kind = out.suffix.removeprefix(".").lower()
+    if kind not in FORMATS:
+        raise FilmError(f"{out}: a film is an .mp4 or a .gif; give it such a name")
+    if shutil.which(_FFMPEG):
+        return _by_ffmpeg
+    if kind == "mp4":
+        raise FilmError(f"{out}: an mp4 needs ffmpeg (Debian, Ubuntu: apt install ffmpeg); a .gif does not")
+    return _by_pillow
+
+
+def _by_ffmpeg(path: Path, size: tuple[int, int], fps: int, pictures: Iterator[Pixels]) -> None:
+    command = [_FFMPEG, "-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgba"]
     command += ["-s", f"{size[0]}x{size[1]}", "-r", str(fps), "-i", "-", "-an"]
     command += [*_ENCODERS[path.suffix.lower()], str(path)]
     # In a session of its own: a Ctrl-C is for us, who then end it.
@@ -137,32 +149,25 @@ def _ffmpeg(path: Path, size: tuple[int, int], fps: int) -> Iterator[Put]:
         assert errors is not None
         try:
             with suppress(BrokenPipeError):  # where it has ended it says why
-                yield lambda picture: pipe.write(picture.tobytes())
+                for picture in pictures:
+                    pipe.write(picture.tobytes())
                 pipe.close()
             said = errors.read().decode(errors="replace").strip().splitlines()
             if process.wait() != 0:
-                raise FilmError(
-                    f"ffmpeg cannot write the film: {said[-1] if said else 'it does not say why'}"
-                )
+                why = said[-1] if said else "it does not say why"
+                raise FilmError(f"ffmpeg cannot write the film: {why}")
         finally:
             process.kill()
             with suppress(BrokenPipeError):
                 pipe.close()
 
 
-@contextmanager
-def _pillow(path: Path, size: tuple[int, int], fps: int) -> Iterator[Put]:
+def _by_pillow(path: Path, _: tuple[int, int], fps: int, pictures: Iterator[Pixels]) -> None:
     from PIL import Image
 
-    pictures: list[Image.Image] = []
-
-    def put(picture: Pixels) -> None:
-        image = Image.fromarray(picture[:, :, :3])
-        pictures.append(image.quantize(64, dither=Image.Dither.NONE))
-
-    yield put
-    pictures[0].save(
-        path, format="GIF", save_all=True, append_images=pictures[1:], duration=round(1000 / fps), loop=0
+    images = (Image.fromarray(each[:, :, :3]).quantize(64, dither=Image.Dither.NONE) for each in pictures)
+    next(images).save(
+        path, format="GIF", save_all=True, append_images=images, duration=round(1000 / fps), loop=0
     )
 
 
@@ -202,7 +207,7 @@ class _Picture:
         for drawn in (self._trails, self._edges, self._bodies):
             self._plan.add_collection(drawn)
         self._dots = self._plan.scatter([], [], s=7, color=INK, zorder=5)
-        few = len(analysis.ids) <= 50
+        few = len(analysis.ids) <= NAMES_MAX
         halo = [patheffects.withStroke(linewidth=2.5, foreground="white")]
         self._names = [
             self._plan.text(0, 0, str(robot), fontsize=8, zorder=6, path_effects=halo)
@@ -210,8 +215,8 @@ class _Picture:
             if few
         ]
         self._time = self._plan.text(0.01, 0.99, "", transform=self._plan.transAxes, va="top", fontsize=11)
-        self._heading = [self._headings(index) for index in range(len(analysis.ids))]
-        self._size_m = max(0.015 * float(span.max()), max(each.hand_offset_m for each in fleet.robots))
+        self._headings = [data.heading(analysis.grid) for data in result.recording.robots.values()]
+        self._size_m = max(0.015 * float(span.max()), max(abs(each.hand_offset_m) for each in fleet.robots))
 
     def _still(self, axes: Axes, low: Floats, high: Floats, ground: Sequence[Circle | Polygon]) -> None:
         axes.set_aspect("equal", adjustable="datalim")
@@ -236,14 +241,6 @@ class _Picture:
         axes.tick_params(labelsize=7)
         self._now = axes.axvline(0.0, color=INK, linewidth=1.0)
 
-    def _headings(self, index: int) -> Floats:
-        """(k,) rad, on the grid; NaN of a body that was never seen."""
-        grid = self._result.analysis.grid
-        body = list(self._result.recording.robots.values())[index].body
-        if not len(body):
-            return np.full(len(grid), np.nan)
-        return np.interp(grid, body.t, np.unwrap(body["heading"]))
-
     def at(self, t: float) -> Pixels:
         """The picture at fleet time `t`: (height, width, 4) bytes, RGBA."""
         result, analysis = self._result, self._result.analysis
@@ -257,9 +254,13 @@ class _Picture:
         self._edges.set_color([_HOLDS if abs(each) <= SETTLED else _OFF for each in off])
         self._edges.set_linestyle(["solid" if each <= SETTLED else DASHED for each in off])
         states = [(data.status.at(t) or ("", ""))[0] for data in result.recording.robots.values()]
-        bodies = [self._body(hands[index], float(heading[k])) for index, heading in enumerate(self._heading)]
-        self._bodies.set_verts(bodies)
-        self._bodies.set_color([_color(state) for state in states])
+        self._bodies.set_verts(
+            [
+                self._body(hand, float(heading[k]), robot.hand_offset_m)
+                for hand, heading, robot in zip(hands, self._headings, result.fleet.robots, strict=True)
+            ]
+        )
+        self._bodies.set_color([_COLORS[LOOKS.get(state, UNREADY)] for state in states])
         self._dots.set_offsets(hands)
         for name, place in zip(self._names, hands, strict=False):
             name.set_visible(bool(np.isfinite(place).all()))
@@ -269,21 +270,16 @@ class _Picture:
         self._canvas.draw()  # type: ignore[no-untyped-call]
         return np.asarray(self._canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
-    def _body(self, hand: Floats, heading: float) -> Floats:
-        """Corners (4, 2) m of an arrow whose tip is the hand point."""
-        along = np.array([cos(heading), sin(heading)]) if np.isfinite(heading) else np.array([np.nan, np.nan])
-        across = np.array([-along[1], along[0]])
+    def _body(self, hand: Floats, heading: float, offset_m: float) -> Floats:
+        """Corners (4, 2) m, W, of an arrow at a heading (rad); its tip is the hand point, or its end is where
+        that is behind the axle. NaN where one of the two is not known."""
         size = self._size_m
-        return np.array(
-            [hand, hand - 1.6 * size * along + 0.6 * size * across, hand - 1.2 * size * along,
-             hand - 1.6 * size * along - 0.6 * size * across]
-        )  # fmt: skip
-
-
-def _color(state: str) -> str:
-    if state in (State.RUNNING.value, State.FAULT.value):
-        return INK if state == State.RUNNING.value else RED
-    return _OFF if state in DRIVING_NAMES else GREY
+        corners = size * np.array([(0.0, 0.0), (-1.6, 0.6), (-1.2, 0.0), (-1.6, -0.6)])
+        if offset_m < 0.0:
+            corners[:, 0] += 1.6 * size
+        turned = np.array([[cos(heading), sin(heading)], [-sin(heading), cos(heading)]])
+        placed: Floats = hand + corners @ turned
+        return placed
 
 
 def _even(number: int) -> int:

@@ -75,6 +75,22 @@ def test_the_page_shows_any_moment(address: str, run: Path, tmp_path: Path) -> N
         ready(page)
 
 
+def test_a_page_that_stands_still_draws_nothing(address: str, tmp_path: Path) -> None:
+    with opened(tmp_path) as page:
+        page.goto(address)
+        ready(page)
+        page.wait_for_timeout(500)
+        page.evaluate(
+            "() => { const draw = handfast.plan.draw; handfast.drawings = 0;"
+            " handfast.plan.draw = function (frame) { handfast.drawings += 1; draw.call(this, frame); }; }"
+        )
+        page.wait_for_timeout(500)
+        assert page.evaluate("handfast.drawings") == 0
+        page.keyboard.press("t")  # what changes its look is drawn
+        page.wait_for_timeout(500)
+        assert page.evaluate("handfast.drawings") == 1
+
+
 def test_a_click_on_what_happened_goes_there(address: str, tmp_path: Path) -> None:
     with opened(tmp_path) as page:
         page.goto(address)

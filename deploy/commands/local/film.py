@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from collections.abc import Callable
 from math import isfinite
@@ -57,22 +56,23 @@ def _number(least: float, most: float) -> Callable[[str], float]:
 
 def _film(options: argparse.Namespace) -> int:
     from deploy.recording.mcap_reader import read_run
-    from deploy.report.film import film
+    from deploy.report.film import film, name_for
     from deploy.verdict.run_result import RunResult
 
     folder = Path(options.folder)
     recording = read_run(folder)
     for warning in recording.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    out = Path(options.out) if options.out else folder / f"film.{'mp4' if shutil.which('ffmpeg') else 'gif'}"
+    out = Path(options.out) if options.out else folder / name_for()
 
     def shown(done: int, count: int) -> None:
         if done * 10 // count > (done - 1) * 10 // count:
             print(f"{done} of {count} pictures", file=sys.stderr)
 
-    film(
+    long_s = film(
         RunResult(recording), out,
         speed=options.speed, fps=options.fps, width_px=options.width, shown=shown,
     )  # fmt: skip
+    print(f"{long_s:.1f} s to see", file=sys.stderr)
     print(out)
     return PASSED

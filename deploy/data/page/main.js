@@ -8,6 +8,7 @@ import { Timeline } from "handfast/timeline.js";
 const FORMAT = 1; // as deploy/playback/scene.py
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 20, 50];
 const PANELS_MS = 100; // tables change so often at most
+const dark = matchMedia("(prefers-color-scheme: dark)");
 const find = (id) => document.getElementById(id);
 
 async function fetched(address, kind) {
@@ -24,7 +25,7 @@ function problem(text) {
 class Player {
   constructor(source) {
     const { scene } = source;
-    Object.assign(this, { source, scene, t: 0, speed: 1, playing: false, shownAt: 0, chosen: null });
+    Object.assign(this, { source, scene, t: 0, speed: 1, playing: false, toldAt: 0, chosen: null });
     const seek = (t, mark) => this.seek(t, mark);
     this.plan = new Plan(find("plan"), source, (index) => this.choose(index));
     this.robots = new Robots(find("robots"), source, (index) => this.choose(index));
@@ -134,7 +135,7 @@ class Player {
     if (mark && mark.robots.length) {
       this.chosen = this.plan.chosen = this.scene.robots.findIndex((robot) => robot.id === mark.robots[0]);
     }
-    this.shownAt = 0;
+    this.toldAt = 0;
     this.load();
   }
 
@@ -155,18 +156,28 @@ class Player {
       if (this.t >= this.source.end) this.play(false);
     }
     const frame = this.source.frame(this.t);
-    this.plan.draw(frame);
-    this.timeline.draw(this.t);
-    find("time").textContent = `${this.t.toFixed(2)} of ${this.scene.end_s.toFixed(1)} s`;
-    this.legend();
-    document.body.dataset.exact = frame.exact;
-    if (now - this.shownAt >= PANELS_MS) {
-      this.shownAt = now;
+    requestAnimationFrame((next) => this.step(next));
+    // What stands still is not drawn again: a page that nobody plays costs its computer nothing.
+    const { clientWidth, clientHeight } = this.plan.canvas;
+    const look = JSON.stringify([
+      this.t, frame.exact, this.chosen, this.plan.look(), dark.matches,
+      clientWidth, clientHeight, window.devicePixelRatio,
+    ]);
+    if (look !== this.drawn) {
+      this.drawn = look;
+      this.plan.draw(frame);
+      this.timeline.draw(this.t);
+      find("time").textContent = `${this.t.toFixed(2)} of ${this.scene.end_s.toFixed(1)} s`;
+      this.legend();
+      document.body.dataset.exact = frame.exact;
+    }
+    if (look !== this.told && now - this.toldAt >= PANELS_MS) {
+      this.told = look;
+      this.toldAt = now;
       this.robots.show(frame, this.chosen);
       this.events.show(this.t);
       this.curves.draw(this.t);
     }
-    requestAnimationFrame((next) => this.step(next));
   }
 }
 

@@ -1,5 +1,5 @@
 // The panels beside the plan: a row for each robot, and what happened.
-const STATES = { running: "good", fault: "bad", degraded: "warn", holding: "warn", released: "warn" };
+const CLASSES = { drives: "good", failed: "bad", troubled: "warn" }; // of states, by how they look
 
 function element(name, text, className) {
   const made = document.createElement(name);
@@ -68,7 +68,7 @@ export class Robots {
       texts.forEach((text, column) => {
         if (text !== null && cells[column].textContent !== text) cells[column].textContent = text;
       });
-      cells[1].className = `text ${STATES[state] || ""}`;
+      cells[1].className = `text ${CLASSES[scene.looks[state]] || ""}`;
       cells[3].className = nearest < scene.safe_m ? "bad" : "";
       line.classList.toggle("chosen", index === chosen);
       if (reason && state !== "running") {

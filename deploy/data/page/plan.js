@@ -2,16 +2,12 @@
 
 const TRAIL_S = 20;
 const LABEL_PX = 22; // robots that are nearer to each other on the screen have no names
-const SETTLED = 0.05; // as deploy/analysis/stability.py: an edge that is off by less holds
 const FORCE_PX = 80; // a force of 1 m/s2 is drawn so long
 const FORCE_PX_MAX = 160;
 const MARGIN = 0.12;
 
 // Of colours that people with any kind of colour blindness can tell apart (Okabe and Ito).
 export const COLORS = { holds: "#009e73", off: "#e69f00", bad: "#d55e00", navigation: "#0072b2", constraint: "#cc79a7" };
-const TROUBLE = new Set(["degraded", "holding", "released", "silent"]);
-const RESTING = new Set(["stopping", "stopped"]);
-const UNREADY = new Set(["waiting", "standby", "ready", ""]);
 
 export class Plan {
   constructor(canvas, source, onChoose) {
@@ -24,6 +20,11 @@ export class Plan {
     this.fitted = false;
     this.pointers = new Map();
     this.listen();
+  }
+
+  // All that decides what is drawn of a moment, but the moment.
+  look() {
+    return [this.centre, this.scale, this.show, this.follow, this.fitted];
   }
 
   // ---------------------------------------------------------------- where is what
@@ -269,6 +270,7 @@ export class Plan {
     const { c, source } = this;
     const { at, columns, scene } = source;
     const few = scene.robots.length <= 30;
+    const settled = scene.settled; // an edge that is off by less holds
     scene.edges.forEach(([i, j], index) => {
       const wanted = row[scene.robots.length * columns + index];
       if (Number.isNaN(wanted)) return;
@@ -278,9 +280,9 @@ export class Plan {
       const distance = Math.hypot(x - u, y - v);
       const off = distance / wanted - 1;
       const unsafe = distance < scene.safe_m;
-      c.strokeStyle = unsafe ? COLORS.bad : Math.abs(off) <= SETTLED ? COLORS.holds : COLORS.off;
-      c.lineWidth = (unsafe ? 4 : off < -SETTLED ? 2.6 : 1.6) * (few ? 1 : 0.7);
-      c.setLineDash(Math.abs(off) <= SETTLED ? [] : off > 0 ? [9, 5] : [2, 3]);
+      c.strokeStyle = unsafe ? COLORS.bad : Math.abs(off) <= settled ? COLORS.holds : COLORS.off;
+      c.lineWidth = (unsafe ? 4 : off < -settled ? 2.6 : 1.6) * (few ? 1 : 0.7);
+      c.setLineDash(Math.abs(off) <= settled ? [] : off > 0 ? [9, 5] : [2, 3]);
       c.beginPath();
       c.moveTo(...this.toScreen(x, y));
       c.lineTo(...this.toScreen(u, v));
@@ -386,16 +388,19 @@ export class Plan {
   // a cross is in fault, a ring in trouble, a square at rest, what is hollow does not drive yet.
   body(robot, heading, [px, py], state, chosen) {
     const { c } = this;
-    const size = Math.max(7, Math.min(robot.hand_m * this.scale, 40));
-    const color = state === "fault" ? this.theme.bad : TROUBLE.has(state) ? this.theme.warn : this.theme.robot;
+    const size = Math.max(7, Math.min(Math.abs(robot.hand_m) * this.scale, 40));
+    const look = this.source.scene.looks[state];
+    const color = { failed: this.theme.bad, troubled: this.theme.warn }[look] || this.theme.robot;
     c.save();
     c.translate(px, py);
     c.rotate(-(Number.isNaN(heading) ? 0 : heading));
-    c.translate(-Math.max(robot.hand_m * this.scale, size), 0);
+    // A hand point behind the axle has the body before it.
+    const back = Math.max(Math.abs(robot.hand_m) * this.scale, size);
+    c.translate(robot.hand_m < 0 ? back : -back, 0);
     c.fillStyle = c.strokeStyle = color;
     c.lineWidth = 2;
     c.beginPath();
-    if (RESTING.has(state)) c.rect(-size * 0.55, -size * 0.55, size * 1.1, size * 1.1);
+    if (look === "rests") c.rect(-size * 0.55, -size * 0.55, size * 1.1, size * 1.1);
     else {
       c.moveTo(size * 0.9, 0);
       c.lineTo(-size * 0.7, size * 0.65);
@@ -403,9 +408,9 @@ export class Plan {
       c.lineTo(-size * 0.7, -size * 0.65);
       c.closePath();
     }
-    if (UNREADY.has(state)) c.stroke();
+    if (look === "unready") c.stroke();
     else c.fill();
-    if (state === "fault") {
+    if (look === "failed") {
       c.strokeStyle = this.theme.bad;
       c.beginPath();
       c.moveTo(-size, -size);
@@ -413,7 +418,7 @@ export class Plan {
       c.moveTo(-size, size);
       c.lineTo(size, -size);
       c.stroke();
-    } else if (TROUBLE.has(state)) {
+    } else if (look === "troubled") {
       c.beginPath();
       c.arc(0, 0, size * 1.15, 0, 2 * Math.PI);
       c.stroke();

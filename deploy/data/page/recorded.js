@@ -83,6 +83,7 @@ export class Recorded {
     const last = Math.floor((this.rows - 1) / this.pieceRows);
     const wanted = [];
     for (let number = first; number <= Math.min(first + ahead, last); number++) wanted.push(this.load(number));
+    wanted.slice(1).forEach((each) => each.catch(() => {})); // it is asked for again when it is looked at
     return wanted[0];
   }
 

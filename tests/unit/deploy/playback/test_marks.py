@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.messages import key_expressions
-from agent.messages.types import Event, Resume, Stop
+from agent.messages.types import Event, Resume, Status, Stop
 from deploy.playback import marks as module
 from deploy.playback.marks import FAULT, ORDER, STATE, VIOLATION, Mark, marks
 from deploy.recording.collector import RunData
@@ -62,6 +62,21 @@ def test_each_time_of_a_rule_is_marked() -> None:
 def test_the_same_trouble_of_many_robots_is_one_mark() -> None:
     found = [mark for mark in marks(result_of(state="holding")) if mark.kind == STATE]
     assert found == [Mark(0.0, None, STATE, "robots 1, 2 and 3 holding", (1, 2, 3))]
+
+
+def test_a_state_in_which_the_drive_began_is_marked_at_its_begin() -> None:
+    early = (EPOCH_NS - 10**8, key_expressions.status(NAME, 2), status_of(2, EPOCH_NS - 10**8, "fault"))
+    late = (EPOCH_NS + 10**9, key_expressions.status(NAME, 2), status_of(2, EPOCH_NS + 10**9, "fault"))
+    data = RunData(FLEET)
+    for received, key, message in [early, *messages(FLEET, in_formation(FLEET)), late]:
+        if key != key_expressions.status(NAME, 2) or message.state == "fault":
+            data.feed(received, key, message)
+    found = [mark for mark in marks(RunResult(data.recording())) if mark.kind == STATE]
+    assert found == [Mark(0.0, None, STATE, "robot 2 fault: no pose", (2,))]
+
+
+def status_of(robot: int, time_ns: int, state: str) -> Status:
+    return Status(robot, 0, time_ns, state, "", "no pose", 1, 0, (), (), (), ())
 
 
 def test_pairs_below_the_safe_distance_are_violations_that_name_them() -> None:

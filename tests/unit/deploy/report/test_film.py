@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from agent.messages.types import PlantState
+from deploy.recording.collector import RunData
 from deploy.report import film as module
 from deploy.report.film import FilmError, film
-from tests.unit.deploy.playback.runs import result_of
+from deploy.verdict.run_result import RunResult
+from tests.unit.deploy.playback.runs import FLEET, result_of
+from tests.unit.deploy.synthetic_run import in_formation, messages
 
 RESULT = result_of()
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg (apt install ffmpeg)")
@@ -110,6 +114,28 @@ def test_what_is_interrupted_leaves_the_film_of_before(tmp_path: Path, kind: str
         film(RESULT, out, fps=4, width_px=240, shown=interrupted)
     assert list(tmp_path.iterdir()) == [out]
     assert out.read_text() == "the film of before"
+
+
+def test_a_run_in_which_no_robot_was_seen_has_no_film(tmp_path: Path) -> None:
+    data = RunData(FLEET)
+    for received, key, message in messages(FLEET, in_formation(FLEET)):
+        if not isinstance(message, PlantState):
+            data.feed(received, key, message)
+    with pytest.raises(FilmError, match="no place of any robot"):
+        film(RunResult(data.recording()), tmp_path / "film.gif", fps=4, width_px=240)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_state_that_is_not_known_is_drawn(tmp_path: Path) -> None:
+    film(result_of(state="of a later version"), tmp_path / "film.gif", fps=1, width_px=240)
+
+
+@pytest.mark.parametrize(("offset_m", "ahead"), [(0.2, False), (-0.2, True)])
+def test_the_body_is_where_the_hand_point_has_it(offset_m: float, ahead: bool) -> None:
+    picture = module._Picture(RESULT, 240)
+    corners = picture._body(np.array([1.0, 2.0]), np.pi / 2, offset_m)  # it heads north
+    assert (corners[:, 1] >= 2.0 - 1e-9).all() if ahead else (corners[:, 1] <= 2.0 + 1e-9).all()
+    assert np.isnan(picture._body(np.array([1.0, 2.0]), np.nan, offset_m)).all()
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:

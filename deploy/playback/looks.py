@@ -1,0 +1,29 @@
+"""How a state looks: what of it a picture shows at a glance, for the page and the film alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from agent.supervision.state_machine import State
+
+DRIVES: Final = "drives"
+TROUBLED: Final = "troubled"
+FAILED: Final = "failed"
+RESTS: Final = "rests"
+UNREADY: Final = "unready"
+
+LOOKS: Final[Mapping[str, str]] = {
+    State.RUNNING.value: DRIVES,
+    State.DEGRADED.value: TROUBLED,
+    State.HOLDING.value: TROUBLED,
+    State.RELEASED.value: TROUBLED,
+    State.FAULT.value: FAILED,
+    State.STOPPING.value: RESTS,
+    State.STOPPED.value: RESTS,
+    State.WAITING.value: UNREADY,
+    State.READY.value: UNREADY,
+    State.STANDBY.value: UNREADY,
+    "": UNREADY,
+}
+"""By the state's name, "" where a robot has said none."""

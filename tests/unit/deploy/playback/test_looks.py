@@ -1,0 +1,18 @@
+"""Every state has a look, and the page knows each."""
+
+from __future__ import annotations
+
+from agent.supervision.state_machine import DRIVING_NAMES, State
+from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
+from deploy.playback.page import asset
+
+
+def test_every_state_has_a_look() -> None:
+    assert set(LOOKS) == {"", *(state.value for state in State)}
+    assert {LOOKS[name] for name in DRIVING_NAMES} == {DRIVES, TROUBLED}
+
+
+def test_the_page_knows_each_look() -> None:
+    text = b"".join(asset(name) or b"" for name in ("plan.js", "panels.js")).decode()
+    for look in (DRIVES, FAILED, RESTS, TROUBLED, UNREADY):
+        assert look in text
