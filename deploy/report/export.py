@@ -1,6 +1,6 @@
-"""A run as tables for other programs: CSV, Parquet or JSON.
+"""A run for other programs: as tables (CSV, Parquet or JSON), or as a bag of ROS 2.
 
-One file per table, tidy: one row per robot (or edge) and time, units in the names of the columns. JSON
+Of tables one file each, tidy: one row per robot (or edge) and time, units in the names of the columns. JSON
 is an array of records, one on each line. What is not known (a robot that sent nothing), or not wanted
 (an edge that was not in force), is empty in CSV, null elsewhere.
 """
@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.common.errors import packages_named
 from agent.messages.declaration import Field, declared
 from agent.messages.types import (
     CORRUPTED,
@@ -41,11 +42,14 @@ from deploy.recording.tables import StatusTable, Table, columns
 from deploy.verdict.metrics import MESSAGES
 from deploy.verdict.run_result import RunResult
 
-FORMATS: Final = ("csv", "parquet", "json")
+BAG: Final = "rosbag2"
+FORMATS: Final = ("csv", "parquet", "json", BAG)
 FOLDER: Final = "export"
 
 Column = NDArray[Any] | list[str]
 Columns = dict[str, Column]
+Writer = Callable[[RunResult, Path], list[Path]]
+"""Writes a run to a folder, made if need be; gives what it wrote there."""
 
 _DTYPES: Final = {int: np.int64, float: np.float64, bool: np.bool_}
 _NAMES: Final = {"value": "multiplier", "doubt": "position_uncertainty"}
@@ -61,7 +65,8 @@ class ExportError(RecordingError):
 
 
 def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | None = None) -> list[Path]:
-    """Write the tables of the run in `folder` to the folder `out` (its own ``export`` unless given).
+    """Write the run in `folder` to the folder `out` (its own ``export`` unless given): its tables, or, in a
+    folder ``rosbag2`` there, a bag of ROS 2.
 
     Tables: ``hands``, ``plants``, ``wrenches``, ``multipliers``, ``statuses`` (one row per message),
     ``distances`` (one per edge and period of the fleet), ``links`` (one per decision of a fault rule) when
@@ -69,24 +74,19 @@ def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | 
 
     Raises:
         ExportError: unknown format, no pyarrow, or not writable; one line. It is a `RecordingError`.
+        MissingPackageError: no rosbags.
         RecordingError: the run cannot be read.
         FleetError: the run's fleet file is not valid.
     """
     if format not in FORMATS:
         raise ExportError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
-    write = _writer(format)
-    tables = tabulate(RunResult(read_run(folder)))
+    write = _bag_writer() if format == BAG else _tables_writer(format)
+    result = RunResult(read_run(folder))
     target = Path(folder) / FOLDER if out is None else Path(out)
-    written = []
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        for name, table in tables.items():
-            path = target / f"{name}.{format}"
-            write(path, table)
-            written.append(path)
+        return write(result, target)
     except OSError as error:
         raise ExportError(f"cannot write the export to {target}: {error.strerror or error}") from error
-    return written
 
 
 def tabulate(result: RunResult) -> dict[str, Columns]:
@@ -175,6 +175,33 @@ def _statuses(parts: Sequence[tuple[int, StatusTable]]) -> Columns:
 # --- formats ---------------------------------------------------------------------------------
 
 
+def _bag_writer() -> Writer:
+    with packages_named(f"--format {BAG}"):
+        from deploy.report.rosbag2 import write_bag
+
+    def write(result: RunResult, target: Path) -> list[Path]:
+        write_bag(result, target / BAG)
+        return [target / BAG]
+
+    return write
+
+
+def _tables_writer(format: str) -> Writer:
+    write_table = _table_writer(format)
+
+    def write(result: RunResult, target: Path) -> list[Path]:
+        tables = tabulate(result)
+        target.mkdir(parents=True, exist_ok=True)
+        written = []
+        for name, table in tables.items():
+            path = target / f"{name}.{format}"
+            write_table(path, table)
+            written.append(path)
+        return written
+
+    return write
+
+
 def _rows(columns: Columns) -> Iterable[tuple[Any, ...]]:
     """Rows of plain Python values, None for NaN."""
     lists: list[list[Any]] = []
@@ -231,7 +258,7 @@ def _parquet_writer() -> Callable[[Path, Columns], None]:
     return write
 
 
-def _writer(format: str) -> Callable[[Path, Columns], None]:
+def _table_writer(format: str) -> Callable[[Path, Columns], None]:
     if format == "parquet":
         return _parquet_writer()
     return _write_csv if format == "csv" else _write_json

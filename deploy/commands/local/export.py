@@ -1,4 +1,4 @@
-"""The command ``handfast export``: a run's data as tables."""
+"""The command ``handfast export``: a run's data as tables or as a bag of ROS 2."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from deploy.console.arguments import place_for
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast export`` takes."""
     parser.add_argument("folder", metavar="RUN", help="the run's folder")
-    parser.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), parquet or json")
+    parser.add_argument(
+        "--format", default="csv", metavar="FORMAT", help="csv (default), parquet, json or rosbag2"
+    )
     parser.add_argument("--out", type=place_for, metavar="DIR", help="where to (default: RUN/export)")
     parser.set_defaults(command=_export)
 

@@ -116,7 +116,7 @@ def test_columns_of_a_table_have_one_length(run: Path) -> None:
 
 
 def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ExportError, match=r"^unknown format 'xlsx'; there are csv, parquet, json$"):
+    with pytest.raises(ExportError, match=r"^unknown format 'xlsx'; there are csv, parquet, json, rosbag2$"):
         export(run, "xlsx")
     (run / "empty").mkdir()
     with pytest.raises(RecordingError, match=r"empty holds no run\.mcap"):
