@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 from matplotlib.figure import Figure
 
-from deploy.report import link_figure
-from deploy.report.distance_figure import distances
-from deploy.report.force_figure import forces
+from deploy.console.arguments import FIGURE_FORMATS
+from deploy.recording.recorder import RecordingError
+from deploy.report import distance_figure, force_figure, link_figure, timing_figure
 from deploy.report.plotting import styled, write
-from deploy.report.timing_figure import timing
 from deploy.report.trajectory_figure import trajectories
 from deploy.verdict.run_result import RunResult
 
 PICTURES: Final[Mapping[str, Callable[[RunResult], Figure]]] = {
     "trajectories": trajectories,
-    "distances": distances,
-    "forces": forces,
-    "timing": timing,
+    "distances": distance_figure.distances,
+    "forces": force_figure.forces,
+    "timing": timing_figure.timing,
     link_figure.NAME: link_figure.links,
 }
+_WORTH_DRAWING: Final[Mapping[str, Callable[[RunResult], bool]]] = {
+    "distances": distance_figure.worth_drawing,
+    "forces": force_figure.worth_drawing,
+    "timing": timing_figure.worth_drawing,
+    link_figure.NAME: link_figure.worth_drawing,
+}
+"""Whether there is anything to see on one; without an entry there always is."""
+_OF_THE_PAGE: Final = "png"
 
 
 def figure(result: RunResult, name: str) -> Figure:
@@ -32,15 +39,37 @@ def figure(result: RunResult, name: str) -> Figure:
         return PICTURES[name](result)
 
 
-def write_figures(folder: Path, result: RunResult) -> dict[str, Path]:
-    """Draws `PICTURES`, that of links only if it is worth one, into `folder` as PNG; the paths by name.
+def write_figures(folder: Path, result: RunResult, formats: Sequence[str] = ()) -> dict[str, Path]:
+    """Draws those of `PICTURES` on which there is something to see into `folder`, as PNG and in other formats
+    that are asked for, of `FIGURE_FORMATS`; the paths of the PNGs by name.
+
+    What was drawn before is removed, whatever its format: all that lie there then are of one drawing.
 
     Raises:
         RecordingError: when one cannot be written.
     """
-    out = {}
+    others = [each for each in FIGURE_FORMATS if each in formats and each != _OF_THE_PAGE]
+    out: dict[str, Path] = {}
+    written: set[Path] = set()
     for name, draw in PICTURES.items():
-        if name != link_figure.NAME or link_figure.worth_drawing(result):
-            out[name] = folder / f"{name}.png"
-            write(out[name], partial(draw, result))
+        if name not in _WORTH_DRAWING or _WORTH_DRAWING[name](result):
+            out[name] = folder / f"{name}.{_OF_THE_PAGE}"
+            more = [folder / f"{name}.{each}" for each in others]
+            write(out[name], partial(draw, result), more)
+            written |= {out[name], *more}
+    remove_figures(folder, written)
     return out
+
+
+def remove_figures(folder: Path, but: Collection[Path] = ()) -> None:
+    """Removes the figures of a run from its folder, as far as they are there, and one half written.
+
+    Raises:
+        RecordingError: when one cannot be removed.
+    """
+    for path in (folder / f"{name}.{each}" for name in PICTURES for each in FIGURE_FORMATS):
+        if path not in but and path.is_file():
+            try:
+                path.unlink()
+            except OSError as error:
+                raise RecordingError(f"cannot remove {path}: {error.strerror or error}") from error

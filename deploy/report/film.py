@@ -9,7 +9,6 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from math import cos, sin
 from pathlib import Path
 from typing import Final
 
@@ -27,7 +26,7 @@ from deploy.analysis.stability import SETTLED
 from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
 from deploy.playback.series import nearest
 from deploy.recording.recorder import RecordingError
-from deploy.report.plotting import DASHED, GREY, INK, PALETTE, RED, draw_boundary, styled, view
+from deploy.report.plotting import DASHED, GREY, INK, PALETTE, RED, body_arrow, draw_boundary, styled, view
 from deploy.verdict.run_result import RunResult
 
 FORMATS: Final = ("mp4", "gif")
@@ -256,7 +255,7 @@ class _Picture:
         states = [(data.status.at(t) or ("", ""))[0] for data in result.recording.robots.values()]
         self._bodies.set_verts(
             [
-                self._body(hand, float(heading[k]), robot.hand_offset_m)
+                body_arrow(hand, float(heading[k]), robot.hand_offset_m, self._size_m)
                 for hand, heading, robot in zip(hands, self._headings, result.fleet.robots, strict=True)
             ]
         )
@@ -269,17 +268,6 @@ class _Picture:
         self._now.set_xdata([t, t])
         self._canvas.draw()  # type: ignore[no-untyped-call]
         return np.asarray(self._canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-
-    def _body(self, hand: Floats, heading: float, offset_m: float) -> Floats:
-        """Corners (4, 2) m, W, of an arrow at a heading (rad); its tip is the hand point, or its end is where
-        that is behind the axle. NaN where one of the two is not known."""
-        size = self._size_m
-        corners = size * np.array([(0.0, 0.0), (-1.6, 0.6), (-1.2, 0.0), (-1.6, -0.6)])
-        if offset_m < 0.0:
-            corners[:, 0] += 1.6 * size
-        turned = np.array([[cos(heading), sin(heading)], [-sin(heading), cos(heading)]])
-        placed: Floats = hand + corners @ turned
-        return placed
 
 
 def _even(number: int) -> int:

@@ -13,7 +13,8 @@ from agent.formation.points import Floats
 from agent.messages.types import LOST
 from deploy.recording.recording import Recording
 from deploy.report.fault_strip import time_axes
-from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note
+from deploy.report.labels import EndLabel, label_ends
+from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
 from deploy.verdict.link_metrics import Ages, ages
 from deploy.verdict.run_result import RunResult
 
@@ -23,6 +24,8 @@ PERIODS_OLD: Final = 2.0
 WORST: Final = 4
 """Links that are drawn one by one."""
 _BINS: Final = 150
+_PLOT_IN: Final = 3.0
+"""The axes of the ages are at least so high, inches."""
 
 
 def worth_drawing(result: RunResult) -> bool:
@@ -47,22 +50,22 @@ def links(result: RunResult) -> Figure:
     if not age:
         note(age_axes, "no ages were recorded")
         return figure
-    top = _draw_ages(age_axes, age, end)
+    top, labels = _draw_ages(age_axes, age, end)
     horizon = recording.fleet.control.prediction_horizon_s
     if top > 0.45 * horizon:
         age_axes.axhline(horizon, color=RED, linewidth=1.2, linestyle=(0, (5, 3)))
-        age_axes.annotate(
-            "prediction horizon: beyond it no edge is relied on", (1.0, horizon),
-            xycoords=("axes fraction", "data"), xytext=(-2, -3), textcoords="offset points", color=RED,
-            fontsize=8, ha="right", va="top",
-        )  # fmt: skip
+        labels.insert(0, EndLabel("prediction horizon:\nbeyond it no edge\nis relied on", end, horizon, RED))
         top = max(top, horizon)
     age_axes.set_ylim(0.0, 1.1 * top)
+    label_ends(age_axes, labels, _PLOT_IN)
+    handles, names = age_axes.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, names, loc="outside upper left", ncols=4)
     return figure
 
 
-def _draw_ages(axes: Axes, age: Ages, end: float) -> float:
-    """Bands of all links, lines of the worst; the greatest age, s."""
+def _draw_ages(axes: Axes, age: Ages, end: float) -> tuple[float, list[EndLabel]]:
+    """Bands of all links, lines of the worst; the greatest age, s, and the names of these lines."""
     bins = np.linspace(0.0, end, _BINS + 1)
     middle = 0.5 * (bins[1:] + bins[:-1])
     table = np.full((len(age), _BINS), np.nan)
@@ -76,7 +79,7 @@ def _draw_ages(axes: Axes, age: Ages, end: float) -> float:
     middle, table = middle[known], table[:, known]
     if not len(middle):
         note(axes, "no ages were recorded during the drive")
-        return 0.0
+        return 1.0, []
     few = len(age) <= WORST
     if not few:
         low, half, high = np.nanpercentile(table, (5, 50, 95), axis=0)
@@ -87,21 +90,20 @@ def _draw_ages(axes: Axes, age: Ages, end: float) -> float:
         axes.plot(middle, half, color=color, linewidth=1.5, label="median link")
     names = list(age)
     worst = np.argsort([-float(values_ms.mean()) for _, values_ms in age.values()], kind="stable")[:WORST]
+    labels = []
     # The best of them first: the worst lies on top, and its colour is the strongest.
     for place, row in reversed(list(enumerate(worst.tolist()))):
         source, destination = names[row]
         t, values_ms = age[source, destination]
         inside = (t >= 0.0) & (t <= end)
-        axes.plot(
-            t[inside], values_ms[inside] / 1e3, color=_LINES[place], linewidth=0.8, alpha=0.9,
-            label=f"{source}→{destination}",
-        )  # fmt: skip
-    handles, labels = axes.get_legend_handles_labels()
-    order = [*range(len(handles) - len(worst)), *range(len(handles) - 1, len(handles) - len(worst) - 1, -1)]
-    axes.legend(
-        [handles[k] for k in order], [labels[k] for k in order], loc="upper left", bbox_to_anchor=(1.0, 1.0)
-    )
-    return float(np.nanmax(table))
+        if not inside.any():
+            continue
+        t, values = t[inside], values_ms[inside] / 1e3
+        style = nth_marked(place, len(t)) | {"color": _LINES[place]}
+        axes.plot(t, values, linewidth=0.8, alpha=0.9, **style)
+        ends = float(t[-1]), float(values[-1])
+        labels.append(EndLabel(f"{source}→{destination}", *ends, _LINES[place], style["marker"]))
+    return float(np.nanmax(table)), labels[::-1]
 
 
 _LINES: Final = (PALETTE[1], PALETTE[0], PALETTE[3], PALETTE[7])

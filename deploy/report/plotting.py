@@ -1,15 +1,15 @@
-"""What all pictures share: colours, style, and how a figure is made and written.
+"""What all pictures share: colours, markers, style, and how a figure is made and written.
 
 By matplotlib's object interface, without global state, always the same bytes. Colours are Okabe and Ito's,
-which colour-blind readers tell apart.
+which colour-blind readers tell apart; markers and dashes tell lines apart without any.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
+from math import cos, sin
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +17,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Patch
@@ -30,6 +29,8 @@ from deploy.recording.recorder import RecordingError
 PALETTE: Final = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#4D4D4D",
 )  # fmt: skip
+MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h")
+"""More than there are colours, and none a multiple of the other: both together come again late."""
 INK: Final = "#222222"
 GREY: Final = "#8A8A8A"
 RED: Final = "#C1121F"
@@ -39,6 +40,8 @@ LEGEND_MAX: Final = 10
 
 DOTTED: Final = (0, (1, 2))
 _SECOND_ROUND: Final = (0, (3, 1, 1, 1))
+_MARKS: Final = 7
+"""Markers on a line."""
 
 STYLE: Final[dict[str, Any]] = {
     "font.size": 9.0,
@@ -62,6 +65,15 @@ STYLE: Final[dict[str, Any]] = {
     "legend.frameon": False,
     "legend.fontsize": 8.0,
     "text.color": INK,
+    "pdf.fonttype": 42,  # TrueType: text that can be searched and edited; journals refuse type 3
+    "svg.fonttype": "none",  # text as text
+    "svg.hashsalt": "handfast",  # names inside the file come from this, not from chance
+}
+# No software version and no date in a file: the same run gives the same bytes.
+_METADATA: Final[Mapping[str, Mapping[str, None]]] = {
+    "png": {"Software": None},
+    "svg": {"Creator": None, "Date": None, "Format": None, "Type": None},
+    "pdf": {"Creator": None, "Producer": None, "CreationDate": None},
 }
 
 
@@ -75,19 +87,20 @@ def styled() -> Iterator[None]:
         yield
 
 
-def write(path: Path, draw: Callable[[], Figure]) -> None:
-    """Draw and write one picture (PNG).
+def write(path: Path, draw: Callable[[], Figure], also: Sequence[Path] = ()) -> None:
+    """Draw one picture, once, and write it: PNG, SVG or PDF, by the suffix of each path.
 
     Raises:
         RecordingError: when it cannot be written.
     """
     with styled():
         figure = draw()
-        try:
-            # No software version and no date in the file: the same run gives the same bytes.
-            figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
-        except OSError as error:
-            raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+        for each in (path, *also):
+            kind = each.suffix.removeprefix(".")
+            try:
+                figure.savefig(each, dpi=DPI, format=kind, metadata=dict(_METADATA[kind]))
+            except OSError as error:
+                raise RecordingError(f"cannot write {each}: {error.strerror or error}") from error
 
 
 class Picture(Figure):
@@ -114,6 +127,33 @@ def nth_color(index: int) -> str:
 def nth_line(index: int) -> dict[str, Any]:
     """Colour and dashes of a line: over again there are other dashes."""
     return {"color": nth_color(index), "linestyle": "solid" if index < len(PALETTE) else _SECOND_ROUND}
+
+
+def nth_marker(index: int) -> str:
+    """A marker of `MARKERS`, over again from their start."""
+    return MARKERS[index % len(MARKERS)]
+
+
+def nth_marked(index: int, points: int) -> dict[str, Any]:
+    """As `nth_line`, for a line of so many points, with a few markers: not where those of its neighbours in
+    order are, as lines may lie on each other."""
+    every = max(points // _MARKS, 1)
+    first = round(every * (0.5 + 0.618 * index) % every)  # by the golden ratio: apart for any number of lines
+    return {
+        **nth_line(index), "marker": nth_marker(index), "markersize": 4.5, "markeredgewidth": 0.0,
+        "markevery": (min(first, points - 1), every),
+    }  # fmt: skip
+
+
+def body_arrow(hand: Floats, heading: float, hand_offset_m: float, size_m: float) -> Floats:
+    """Corners (4, 2) m, W, of an arrow at a heading (rad); its tip is the hand point, or its end is where
+    that is behind the axle. NaN where one of the two is not known."""
+    corners = size_m * np.array([(0.0, 0.0), (-1.6, 0.6), (-1.2, 0.0), (-1.6, -0.6)])
+    if hand_offset_m < 0.0:
+        corners[:, 0] += 1.6 * size_m
+    turned = np.array([[cos(heading), sin(heading)], [-sin(heading), cos(heading)]])
+    placed: Floats = hand + corners @ turned
+    return placed
 
 
 def note(axes: Axes, text: str) -> None:
@@ -154,6 +194,15 @@ def _box(boundary: Circle | Polygon) -> tuple[Floats, Floats]:
     return points.min(axis=0), points.max(axis=0)
 
 
+def top_of(boundary: Circle | Polygon) -> tuple[float, float]:
+    """Where the name of an obstacle stands: above this point (x, y) m."""
+    if isinstance(boundary, Circle):
+        return boundary.x, boundary.y + boundary.radius
+    points = np.array(boundary.points)
+    x, y = points[points[:, 1] == points[:, 1].max()].mean(axis=0).tolist()
+    return x, y
+
+
 def draw_boundary(axes: Axes, boundary: Circle | Polygon) -> None:
     """An obstacle as a grey area with its name, a fence as a dashed line."""
     if isinstance(boundary, Polygon) and boundary.inside:
@@ -166,35 +215,44 @@ def draw_boundary(axes: Axes, boundary: Circle | Polygon) -> None:
     patch: Patch
     if isinstance(boundary, Circle):
         patch = RoundPatch((boundary.x, boundary.y), boundary.radius)
-        top = boundary.x, boundary.y + boundary.radius
     else:
         patch = CornerPatch(boundary.points)
-        points = np.array(boundary.points)
-        x, y = points[points[:, 1] == points[:, 1].max()].mean(axis=0).tolist()
-        top = x, y
     patch.set(facecolor=_OBSTACLE, edgecolor=GREY, linewidth=0.8, zorder=1.5)
     axes.add_patch(patch)
     axes.annotate(
-        boundary.name, top, xytext=(0, 2), textcoords="offset points", ha="center", va="bottom",
+        boundary.name, top_of(boundary), xytext=(0, 2), textcoords="offset points", ha="center", va="bottom",
         fontsize=7, color=INK, zorder=9, annotation_clip=True, parse_math=False,
         bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.6},
     )  # fmt: skip
 
 
-def draw_many(axes: Axes, t: Floats, values: Floats, what: str) -> None:
-    """Many lines over the same times: thin ones, their envelope and their median. values: (k, m)."""
+def draw_many(axes: Axes, t: Floats, values: Floats, what: str) -> Floats:
+    """Many lines over the same times as bands: all of them, the middle half, the median. values: (k, m).
+
+    Gives least, median and greatest (k, 3) at each time, NaN where there is none.
+    """
     known = values[:, np.isfinite(values).any(axis=0)]
     if not known.shape[1]:
-        return
-    least, greatest = np.fmin.reduce(known, axis=1), np.fmax.reduce(known, axis=1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # there may be times without any: no line there
-        median = np.nanmedian(known, axis=1)
+        return np.full((len(t), 3), np.nan)
+    least, lower, median, upper, greatest = quantiles(known, (0.0, 0.25, 0.5, 0.75, 1.0)).T
     color = PALETTE[0]
-    axes.fill_between(t, least, greatest, color=color, alpha=0.10, linewidth=0)
-    segments = [np.column_stack([t, known[:, index]]) for index in range(known.shape[1])]
-    axes.add_collection(LineCollection(segments, colors=color, linewidths=0.4, alpha=0.35))
-    axes.plot(t, least, color=color, linewidth=0.9)
-    label = f"least and greatest of {known.shape[1]} {what}s"
-    axes.plot(t, greatest, color=color, linewidth=0.9, label=label)
-    axes.plot(t, median, color=INK, linewidth=1.3, label="median")
+    label = f"least to greatest of {known.shape[1]} {what}s"
+    axes.fill_between(t, least, greatest, color=color, alpha=0.15, linewidth=0, label=label)
+    axes.fill_between(t, lower, upper, color=color, alpha=0.35, linewidth=0, label="middle half")
+    for extreme in (least, greatest):
+        axes.plot(t, extreme, color=color, linewidth=0.8)
+    axes.plot(t, median, color=INK, linewidth=1.4, label="median")
+    return np.column_stack([least, median, greatest])
+
+
+def quantiles(values: Floats, shares: Sequence[float]) -> Floats:
+    """Quantiles (k, q) of each row of values (k, m), between neighbours straight; NaN in a row do not count,
+    and one of nothing else has NaN."""
+    ordered = np.sort(values, axis=1)  # NaN last
+    last = np.maximum(np.isfinite(values).sum(axis=1) - 1, 0)[:, None]
+    places = last * np.array(shares)
+    below = np.floor(places).astype(np.int64)
+    low = np.take_along_axis(ordered, below, axis=1)
+    high = np.take_along_axis(ordered, np.minimum(below + 1, last), axis=1)
+    out: Floats = low + (places - below) * (high - low)
+    return out

@@ -5,6 +5,7 @@ Import this module only where a report is wanted: it loads matplotlib.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
@@ -32,13 +33,14 @@ from deploy.verdict import metrics
 from deploy.verdict.run_result import RunResult
 
 
-def write_report(folder: Path, result: RunResult) -> Path:
-    """Draws the figures and writes ``report.html`` into `folder`; returns the page's path.
+def write_report(folder: Path, result: RunResult, formats: Sequence[str] = ()) -> Path:
+    """Draws the figures, in `formats` besides PNG, and writes ``report.html`` into `folder`; returns the
+    page's path.
 
     Raises:
         RecordingError: when something cannot be written.
     """
-    pictures = figures.write_figures(folder, result)
+    pictures = figures.write_figures(folder, result, formats)
     path = folder / REPORT_FILE
     page = _page(result, {name: picture.read_bytes() for name, picture in pictures.items()}, folder)
     try:
@@ -50,8 +52,8 @@ def write_report(folder: Path, result: RunResult) -> Path:
 
 def remove_report(folder: Path) -> None:
     """Removes the figures and the page, as far as they are there, and one that is half written."""
-    for name in (REPORT_FILE, *(f"{name}.png" for name in figures.PICTURES)):
-        (folder / name).unlink(missing_ok=True)
+    (folder / REPORT_FILE).unlink(missing_ok=True)
+    figures.remove_figures(folder)
 
 
 def _text_of(path: Path) -> str:
@@ -164,13 +166,16 @@ _PLAYER: Final = (
     "what happened. <code>handfast view</code> shows the same in full."
 )
 _CAPTIONS: Final = {
-    "trajectories": "Paths of the hand points (solid) and the desired ones (dotted). Circles are the starts; "
-    "the formation is drawn with its edges at the times written beside it. After the paper's Fig. 3.",
-    "distances": "Distance of every pair of robots that share an edge. No line may touch the red one; all "
-    "must end in the green band. After the paper's Fig. 4.",
+    "trajectories": "Paths of the hand points (solid) and the desired ones (dotted), with the robot's number "
+    "at both ends and an arrow for its heading at the last. Circles have half the safe distance: two that "
+    "touch are at the safe distance. The formation is drawn with its edges at the times written beside it. "
+    "After the paper's Fig. 3.",
+    "distances": "Distance of every pair of robots that share an edge, and of pairs without one that came "
+    "near. No line may touch the red one; edges must end in the green band. After the paper's Fig. 4.",
     "forces": "What drives the robots: the navigation force pulls each along its path, the constraint force "
     "keeps the distances. Below, what the agents ask of their plants.",
-    "timing": "How long the agents' rounds took, and how old the neighbours' states were when used.",
+    "timing": "How old the neighbours' states were when used; above it, where processes ran and not virtual "
+    "time, how long the agents' rounds took.",
 }
 
 
@@ -198,8 +203,8 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         + (f"<p><strong>What to try</strong></p>{bullets(tips)}" if tips else "")
         + "</section>",
         inside("The drive, played", _player(result), _PLAYER),
-        figure("trajectories", pictures["trajectories"], _CAPTIONS["trajectories"]),
-        figure("distances", pictures["distances"], _CAPTIONS["distances"] + failing),
+        _figures(pictures, "trajectories"),
+        _figures(pictures, "distances", more=failing),
         "<h2>In numbers</h2>",
         _metrics_table(found),
         "<h2>Robots</h2>",
@@ -207,8 +212,8 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         _silent_table(recording),
         oracle_section.section(recording, found),
         link_section.section(recording, found, pictures.get(link_figure.NAME)),
-        "<h2>Forces and timing</h2>",
-        *(figure(name, pictures[name], _CAPTIONS[name]) for name in ("forces", "timing")),
+        "<h2>Forces and timing</h2>" if {"forces", "timing"} & set(pictures) else "",
+        _figures(pictures, "forces", "timing"),
         "<h2>Do it again</h2>",
         _again(recording, found),
         "<h2>Fleet file</h2>",
@@ -220,6 +225,13 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         "</body>\n</html>\n",
     ]
     return "\n".join(part for part in parts if part)
+
+
+def _figures(pictures: Mapping[str, bytes], *names: str, more: str = "") -> str:
+    """Those of the pictures that there are, with their captions."""
+    return "\n".join(
+        figure(name, pictures[name], _CAPTIONS[name] + more) for name in names if name in pictures
+    )
 
 
 def _player(result: RunResult) -> str:

@@ -22,6 +22,7 @@ from deploy.verdict.run_result import RunResult
 
 COMPLETING: Final = "recording and metrics.json are being completed, figures and report left out"
 COMPLETING_ALL: Final = "recording and metrics.json are being completed"
+COMPLETING_METRICS: Final = "metrics.json is being completed, figures and report left out"
 LEAVING_OUT: Final = "figures and report are left out"
 
 
@@ -85,6 +86,7 @@ class RunFolder:
         interrupt: Interrupt | None = None,
         warnings: Sequence[str] = (),
         report: bool = True,
+        formats: Sequence[str] = (),
     ) -> RunResult:
         """Completes the recording and writes what comes of it, as `write_result` does.
 
@@ -92,6 +94,7 @@ class RunFolder:
             interrupt: whose first Ctrl-C, if there was one before this, has ended the drive. Another one has
                 figures and report left out, be they begun; recording and ``metrics.json`` are complete all
                 the same.
+            formats: of the figures, besides PNG.
 
         Raises:
             deploy.recording.recorder.RecordingError: something cannot be written.
@@ -103,16 +106,28 @@ class RunFolder:
             recording = self._data.recording(reasons=reasons, interrupted=before > 0, warnings=warnings)
             result = write_result(self.path, RunResult(recording), report=False)
             report = report and not _is_hurried(interrupt, before)
-            if report:  # loaded where nothing is raised: a module that is being loaded may swallow it
-                from deploy.report.report import remove_report, write_report
+            if report:
+                _load()
         if report:
-            try:
-                with interrupt.answered(LEAVING_OUT, raises=True):
-                    if not _is_hurried(interrupt, before):
-                        write_report(self.path, result)
-            except KeyboardInterrupt:
-                remove_report(self.path)
+            _draw(self.path, result, formats, interrupt, before)
         return result
+
+
+def _load() -> None:
+    """Loads what draws, where a Ctrl-C raises nothing: a module that is being loaded may swallow it."""
+    import deploy.report.report  # noqa: F401
+
+
+def _draw(folder: Path, result: RunResult, formats: Sequence[str], interrupt: Interrupt, before: int) -> None:
+    """Writes figures and report, or none of them after a Ctrl-C."""
+    from deploy.report.report import remove_report, write_report
+
+    try:
+        with interrupt.answered(LEAVING_OUT, raises=True):
+            if not _is_hurried(interrupt, before):
+                write_report(folder, result, formats)
+    except KeyboardInterrupt:
+        remove_report(folder)
 
 
 def _is_hurried(interrupt: Interrupt, before: int) -> bool:
@@ -120,17 +135,29 @@ def _is_hurried(interrupt: Interrupt, before: int) -> bool:
     return interrupt.count > before or before > 1
 
 
-def rebuild(folder: Path) -> RunResult:
-    """``handfast report RUN``: what comes of a run again, from its recording and ``fleet.toml`` alone.
+def rebuild(folder: Path, formats: Sequence[str] = (), *, interrupt: Interrupt | None = None) -> RunResult:
+    """``handfast report RUN``: what comes of a run again, from its recording and ``fleet.toml`` alone, with
+    figures in `formats` besides PNG.
+
+    Args:
+        interrupt: hears of a Ctrl-C once the recording has been read: figures and report are left out then.
 
     Raises:
         RecordingError: when the folder holds no run that can be read, or cannot be written.
         FleetError, FormationError: when its fleet file is not valid.
     """
-    return write_result(folder, RunResult(read_run(folder)))
+    result, interrupt = RunResult(read_run(folder)), interrupt or Interrupt()
+    with interrupt.caught():
+        with interrupt.answered(COMPLETING_METRICS):
+            write_result(folder, result, report=False)
+            _load()
+        _draw(folder, result, formats, interrupt, 0)
+    return result
 
 
-def write_result(folder: Path, result: RunResult, *, report: bool = True) -> RunResult:
+def write_result(
+    folder: Path, result: RunResult, *, report: bool = True, formats: Sequence[str] = ()
+) -> RunResult:
     """Writes ``metrics.json`` and, if asked, figures and report of a run into its folder; returns `result`.
 
     Raises:
@@ -142,5 +169,5 @@ def write_result(folder: Path, result: RunResult, *, report: bool = True) -> Run
         # Drawing needs matplotlib, which is slow to load: a run starts without it.
         from deploy.report.report import write_report
 
-        write_report(folder, result)
+        write_report(folder, result, formats)
     return result

@@ -2,54 +2,73 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.formation.points import Floats
-from deploy.report.plotting import (
-    GREY,
-    INK,
-    PALETTE,
-    new_figure,
-    note,
-)
+from deploy.report.plotting import GREY, INK, PALETTE, new_figure, note
 from deploy.verdict.run_result import RunResult
 
 
+class _Row(NamedTuple):
+    """What one row of the picture shows: `values` at `times` (s)."""
+
+    title: str
+    unit: str
+    color: str
+    times: Floats
+    values: Floats
+
+
+def worth_drawing(result: RunResult) -> bool:
+    """Whether any time was recorded."""
+    return bool(_rows(result))
+
+
 def timing(result: RunResult) -> Figure:
-    """How long ticks took and how old the neighbours' states were, over time and as distributions."""
-    recording = result.recording
-    figure = new_figure(8.6, 5.6)
-    panels = figure.subplots(2, 2, width_ratios=(1.6, 1.0))
-    statuses = [robot.status for robot in recording.robots.values()]
-    end = max(recording.end_s, 1e-3)
-    ticks = [(s.t, s.tick_counts, s.tick_us) for s in statuses]
-    ages = [(s.t, s.age_counts, s.ages_us) for s in statuses]
-    rows = (
-        ("Duration of a tick", "µs", 1.0, ticks, PALETTE[0]),
-        ("Age of the neighbours' states", "ms", 1e3, ages, PALETTE[2]),
-    )
-    for (over_time, spread), (title, unit, scale, series, color) in zip(panels, rows, strict=True):
-        over_time.set_title(title)
-        over_time.set_ylabel(f"{title.split()[0].lower()} ({unit})")
+    """How long ticks took and how old the neighbours' states were, over time and as distributions.
+
+    What nothing was recorded of has no row.
+    """
+    rows = _rows(result)
+    end = max(result.recording.end_s, 1e-3)
+    figure = new_figure(8.6, 2.8 * len(rows) if len(rows) > 1 else 2.9)
+    if not rows:
+        note(figure.add_subplot(), "no times were recorded")
+        return figure
+    panels = figure.subplots(len(rows), 2, width_ratios=(1.6, 1.0), squeeze=False)
+    for (over_time, spread), row in zip(panels, rows, strict=True):
+        what = f"{row.title.split()[0].lower()} ({row.unit})"
+        over_time.set_title(row.title)
+        over_time.set_ylabel(what)
         over_time.set_xlabel("fleet time (s)")
         over_time.set_xlim(0.0, end)
         spread.set_title("Distribution")
-        spread.set_xlabel(f"{title.split()[0].lower()} ({unit})")
+        spread.set_xlabel(what)
         spread.set_ylabel("share of all (%)")
+        _draw_over_time(over_time, row.times, row.values, end, row.color)
+        _draw_spread(spread, row.values, row.color, row.unit)
+    return figure
+
+
+def _rows(result: RunResult) -> list[_Row]:
+    """Those of which there are values. In virtual time ticks take none."""
+    statuses = [robot.status for robot in result.recording.robots.values()]
+    ticks = [(s.t, s.tick_counts, s.tick_us) for s in statuses]
+    ages = [(s.t, s.age_counts, s.ages_us) for s in statuses]
+    given = [("Age of the neighbours' states", "ms", 1e3, ages, PALETTE[2])]
+    if result.recording.mode != "simulate":
+        given.insert(0, ("Duration of a tick", "µs", 1.0, ticks, PALETTE[0]))
+    rows = []
+    for title, unit, scale, series, color in given:
         times = np.concatenate([np.repeat(t, counts) for t, counts, _ in series])
         values = np.concatenate([values for _, _, values in series]) / scale
-        if recording.mode == "simulate" and unit == "µs":
-            for axes in (over_time, spread):
-                note(axes, "virtual time: ticks take none")
-        elif not len(values):
-            for axes in (over_time, spread):
-                note(axes, "nothing was recorded")
-        else:
-            _draw_over_time(over_time, times, values, end, color)
-            _draw_spread(spread, values, color, unit)
-    return figure
+        if len(values):
+            rows.append(_Row(title, unit, color, times, values))
+    return rows
 
 
 def _draw_over_time(axes: Axes, times: Floats, values: Floats, end: float, color: str) -> None:

@@ -5,17 +5,24 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from deploy.drive.outcome import conclude
+from agent.common.exit import INTERRUPTED
+from deploy.console.arguments import figures_argument
+from deploy.console.interrupt import Interrupt
+from deploy.drive.outcome import conclude, say_left_out
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast report`` takes."""
     parser.add_argument("folder", metavar="RUN", help="the run's folder")
+    figures_argument(parser)
     parser.set_defaults(command=_report)
 
 
 def _report(options: argparse.Namespace) -> int:
     from deploy.report.run_folder import rebuild
 
-    result = rebuild(Path(options.folder))
-    return conclude(result, Path(options.folder))
+    folder, interrupt = Path(options.folder), Interrupt()
+    result = rebuild(folder, options.figures, interrupt=interrupt)
+    status = conclude(result, folder)
+    say_left_out(folder)
+    return INTERRUPTED if interrupt.count else status

@@ -130,14 +130,6 @@ def test_a_state_that_is_not_known_is_drawn(tmp_path: Path) -> None:
     film(result_of(state="of a later version"), tmp_path / "film.gif", fps=1, width_px=240)
 
 
-@pytest.mark.parametrize(("offset_m", "ahead"), [(0.2, False), (-0.2, True)])
-def test_the_body_is_where_the_hand_point_has_it(offset_m: float, ahead: bool) -> None:
-    picture = module._Picture(RESULT, 240)
-    corners = picture._body(np.array([1.0, 2.0]), np.pi / 2, offset_m)  # it heads north
-    assert (corners[:, 1] >= 2.0 - 1e-9).all() if ahead else (corners[:, 1] <= 2.0 + 1e-9).all()
-    assert np.isnan(picture._body(np.array([1.0, 2.0]), np.nan, offset_m)).all()
-
-
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FilmError, match="cannot write"):
