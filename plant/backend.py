@@ -44,6 +44,9 @@ class Reading(NamedTuple):
 
 WAITING: Final = "waiting for "
 """How `Check.found` begins of what is blocking now and may become good by itself."""
+BATTERY: Final = "battery"
+"""`Check.name` of how full the body's battery is, which a drive shows: its `Check.found` holds a share, as
+"88 %", or a voltage, as "12.3 V", or neither where it is not measured."""
 
 
 class Check(NamedTuple):

@@ -53,23 +53,21 @@ class LinesView:
 
 
 class TerminalView:
-    """What is redrawn in place, with lines above it. A context manager.
+    """What is redrawn in place, with lines above it, and stays at the end. A context manager."""
 
-    Args:
-        transient: whether it is gone at the end.
-    """
-
-    def __init__(self, stream: TextIO, *, transient: bool) -> None:
+    def __init__(self, stream: TextIO) -> None:
         self._stream = stream
-        self._live = Live(console=_Screen(file=stream), auto_refresh=False, transient=transient)
+        # As long as nothing is drawn: else an empty line would stay.
+        self._live = Live(console=_Screen(file=stream), auto_refresh=False, transient=True)
         self._settings: list[Any] | None = None
 
     def __enter__(self) -> Self:
-        # A Ctrl-C that the terminal echoes as ^C would shift what is redrawn from where it is.
+        # A Ctrl-C that the terminal echoes as ^C would shift what is redrawn from where it is; and it would
+        # drop what was written and is not shown yet, so that pieces stayed.
         with suppress(termios.error, *_DEAD):
             settings = termios.tcgetattr(self._stream.fileno())
             quiet = list(settings)
-            quiet[3] &= ~termios.ECHOCTL
+            quiet[3] = quiet[3] & ~termios.ECHOCTL | termios.NOFLSH
             termios.tcsetattr(self._stream.fileno(), termios.TCSANOW, quiet)
             self._settings = settings
         with suppress(*_DEAD):
@@ -80,6 +78,9 @@ class TerminalView:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with suppress(*_DEAD):
+            last = self._last()
+            if last is not None:
+                self._live.update(last)  # drawn once, as it stops
             self._live.stop()
         if self._settings is not None:
             with suppress(termios.error, *_DEAD):
@@ -94,7 +95,12 @@ class TerminalView:
         """Lines of the terminal."""
         return self._live.console.height
 
+    def _last(self) -> RenderableType | None:
+        """What stays at the end; None for what was drawn last."""
+        return None
+
     def _draw(self, what: RenderableType) -> None:
+        self._live.transient = False
         with suppress(*_DEAD):
             self._live.update(what, refresh=True)
 

@@ -4,31 +4,19 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
 from typing import Final, Protocol, TextIO
 
-from rich.console import Group
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.progress import BarColumn, Progress, TextColumn
-from rich.table import Table
 
 from agent.supervision.state_machine import State
 from deploy.analysis.silent_bodies import in_words
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
 from deploy.console.wording import NAMES_SHOWN, some
+from deploy.drive.fleet_table import ROWS_MAX, ROWS_MIN, clock_words, table
 from deploy.drive.watch import Picture, RobotPicture
 
-STYLES: Final = {
-    State.RUNNING.value: "green",
-    State.DEGRADED.value: "yellow",
-    State.HOLDING.value: "bold yellow",
-    State.RELEASED.value: "bold yellow",
-    State.STOPPING.value: "cyan",
-    State.STOPPED.value: "cyan",
-    State.FAULT.value: "bold red",
-    State.STANDBY.value: "dim",
-    State.WAITING.value: "dim",
-}
-ROWS_MAX: Final = 24
-"""Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
 REASONS_MAX: Final = 3
 """Robots that are released, lag, or are silent, of which more is said than their numbers."""
 PARTS_MAX: Final = 4
@@ -74,28 +62,71 @@ class Lines(LinesView):
 
 
 class Terminal(TerminalView):
-    """A table of robots."""
+    """A table of robots, which stays as it was last."""
 
     def __init__(self, stream: TextIO) -> None:
-        super().__init__(stream, transient=True)
+        super().__init__(stream)
+        self._picture: Picture | None = None
 
     def show(self, picture: Picture) -> None:
-        silent = in_words(picture.silent, REASONS_MAX)
-        lines = [plain(summary(picture)), *(plain(line, "yellow") for line in silent)]
+        self._picture = picture
+        self._draw(_Fleet(picture))
+
+    def _last(self) -> RenderableType | None:
+        return None if self._picture is None else _Fleet(self._picture, is_over=True)
+
+
+class _Fleet:
+    """A picture, as Rich draws it.
+
+    Args:
+        is_over: it is the last one, which may be more than the terminal has lines.
+    """
+
+    def __init__(self, picture: Picture, *, is_over: bool = False) -> None:
+        self._picture, self._is_over = picture, is_over
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        picture = self._picture
+        lines = [plain(line) for line in packed(parts(picture), options.max_width)]
+        lines += [plain(line, "yellow") for line in in_words(picture.silent, REASONS_MAX)]
         if picture.faults:
             lines.append(plain(faults_line(picture), "yellow"))
-        self._draw(Group(_bar(picture), *lines, _table(picture)))
+        above: list[RenderableType] = [_bar(picture, is_over=self._is_over), *lines]
+        yield from above
+        room = ROWS_MAX
+        if not self._is_over:
+            used = sum(len(console.render_lines(each, options, pad=False)) for each in above)
+            # Above the rows stand their headings, below them the number of those that are not shown.
+            room = max(ROWS_MIN, min(ROWS_MAX, options.size.height - used - 1))
+        yield from table(picture.robots, options.max_width, room)
 
 
 def summary(picture: Picture) -> str:
-    """One line: worst edge, closest pair, oldest message, and how many robots are in which state."""
-    parts: list[str] = []
+    """One line of all `parts`."""
+    return ", ".join(parts(picture))
+
+
+def packed(texts: Iterable[str], width: int) -> list[str]:
+    """Texts on as few lines as have room for them, none of them broken that fits a line by itself."""
+    lines: list[str] = []
+    for text in texts:
+        if lines and len(lines[-1]) + 2 + len(text) < width:
+            lines[-1] += f", {text}"
+        else:
+            lines[-1:] = [*(f"{line}," for line in lines[-1:]), text]
+    return lines
+
+
+def parts(picture: Picture) -> list[str]:
+    """Worst edge, closest pair, oldest message, how many robots are in which state, and what is wrong."""
+    found: list[str] = []
     if picture.worst is not None:
-        parts.append("worst edge {:.3f} m off ({}-{})".format(*picture.worst))
+        found.append("worst edge {:.3f} m off ({}-{})".format(*picture.worst))
     if picture.nearest is not None:
-        parts.append("closest {:.3f} m ({}-{})".format(*picture.nearest))
+        found.append("closest {:.3f} m ({}-{})".format(*picture.nearest))
     if picture.oldest_ms is not None:
-        parts.append(f"oldest message {picture.oldest_ms:.0f} ms")
+        found.append(f"oldest message {picture.oldest_ms:.0f} ms")
     states: dict[str, list[int]] = {}
     for robot, about in picture.robots.items():
         states.setdefault(about.state or "silent", []).append(robot)
@@ -106,21 +137,21 @@ def summary(picture: Picture) -> str:
             heard_s = min(
                 (about.silent_s for about in picture.robots.values() if about.silent_s), default=None
             )
-            parts.append(f"all {state}" + (f" (nothing heard for {heard_s:.0f} s)" if heard_s else ""))
+            found.append(f"all {state}" + (f" (nothing heard for {heard_s:.0f} s)" if heard_s else ""))
             continue
         elif len(robots) > NAMES_SHOWN:
             shown = f"{len(robots)} ({some(robots, PARTS_MAX)})"
         else:
             shown = some(robots)
-        parts.append(f"{state}: {shown}")
+        found.append(f"{state}: {shown}")
     if picture.lagging:
-        parts.append(f"off place: {_lags(picture)}")
+        found.append(f"off place: {_lags(picture)}")
     # Both of a pair see it: the one whose clock is behind says it.
     ahead = {robot: about for robot, about in picture.robots.items() if about.clock and about.clock[1] > 0.0}
     if ahead:
         robot, about = max(ahead.items(), key=lambda item: item[1].clock[1] if item[1].clock else 0.0)
-        parts.append(f"{_clock(about)} of robot {robot}'s")
-    return ", ".join(parts)
+        found.append(f"{clock_words(about)} of robot {robot}'s")
+    return found
 
 
 def _lags(picture: Picture) -> str:
@@ -151,44 +182,13 @@ def faults_line(picture: Picture) -> str:
     return f"faults: {named}" + (f"; and {more} more" if more > 0 else "")
 
 
-def _clock(about: RobotPicture) -> str:
-    if about.clock is None:
-        return ""
-    robot, ahead_s = about.clock
-    return f"clock of robot {robot} {abs(ahead_s) * 1e3:.0f} ms {'ahead' if ahead_s > 0 else 'behind'}"
-
-
-def _bar(picture: Picture) -> Progress:
+def _bar(picture: Picture, *, is_over: bool) -> Progress:
     progress = Progress(
         TextColumn("[bold]{task.description}"), BarColumn(bar_width=None), TextColumn("{task.fields[clock]}")
     )
     now = max(0.0, picture.time_s or 0.0)
-    what = "starting" if picture.time_s is None else "driving"
+    what = "starting" if picture.time_s is None else "drove" if is_over else "driving"
     clock = f"{now:5.1f} of {picture.duration_s:.0f} s"
     task = progress.add_task(what, total=picture.duration_s, clock=clock)
     progress.update(task, completed=min(now, picture.duration_s))
     return progress
-
-
-def _table(picture: Picture) -> Table:
-    table = Table(expand=True, pad_edge=False, box=None)
-    for heading in ("robot", "state", "worst edge m", "off place m", "oldest ms", "tick us", "missed"):
-        table.add_column(heading, justify="left" if heading == "state" else "right", no_wrap=True)
-    table.add_column("why", ratio=1, no_wrap=True, overflow="ellipsis")
-    rows = sorted(picture.robots.items(), key=lambda item: (item[1].state == State.RUNNING.value, item[0]))
-    if len(rows) <= ROWS_MAX:
-        rows.sort(key=lambda item: item[0])
-    for robot, about in rows[:ROWS_MAX]:
-        table.add_row(
-            str(robot),
-            plain(about.state or "-", STYLES.get(about.state, "")),
-            "-" if about.error_m is None else f"{about.error_m:.3f}",
-            "-" if about.off_m is None else f"{about.off_m:.2f}",
-            "-" if about.age_ms is None else f"{about.age_ms:.0f}",
-            "-" if about.tick_us is None else str(about.tick_us),
-            str(about.overruns),
-            plain("; ".join(filter(None, (about.reason, _clock(about))))),
-        )
-    if len(rows) > ROWS_MAX:
-        table.add_row("...", f"and {len(rows) - ROWS_MAX} more", "", "", "", "", "", "")
-    return table

@@ -22,6 +22,8 @@ from agent.messages.validation import Malformed
 from agent.runtime.clock import RealClock
 from agent.transport.bus import Bus
 from deploy.console.interrupt import Interrupt
+from deploy.console.wording import robots
+from deploy.drive.preflight_matrix import matrix
 from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 from deploy.processes.local import VEHICLE, Processes
 from deploy.processes.placement import Vehicle
@@ -35,6 +37,8 @@ POLL_S: Final = 0.04
 END_TIMEOUT_S: Final = 2.0
 STYLES: Final = {OK: "green", WARNING: "yellow", BLOCKING: "bold red"}
 HEADINGS: Final = ("line", "level", "found", "what to do")
+WIDTH: Final = 100
+"""Of what is no terminal."""
 SIMULATED: Final = "simulated: nothing to check"
 
 Found = dict[int, list[Line]]
@@ -56,13 +60,13 @@ class Preflight:
         Raises:
             agent.transport.bus.BusError: the operator's session cannot be opened.
         """
-        robots = self._checks.robots
-        if robots:
+        vehicles = self._checks.robots
+        if vehicles:
             with tempfile.TemporaryDirectory(prefix="handfast-preflight-") as name:
                 folder = Path(name)
                 fleet_file = folder / FLEET_FILE
                 fleet_file.write_text(tomli_w.dumps(to_dict(self._fleet)), encoding="utf-8")
-                wanted = [(robot, "plant") for robot in robots]
+                wanted = [(robot, "plant") for robot in vehicles]
                 processes = Processes(
                     self._fleet, fleet_file, lambda log: folder / log, self._vehicles, wanted, look=True
                 )
@@ -82,9 +86,9 @@ class Preflight:
         return lines
 
     def _look(self, processes: Processes) -> None:
-        robots, name = self._checks.robots, self._fleet.fleet.name
-        with Bus(listen=[], connect=[self._fleet.plant_endpoint(robot) for robot in robots]) as bus:
-            bus.subscribe(key_expressions.checks(name, "*"), 32 * len(robots))
+        vehicles, name = self._checks.robots, self._fleet.fleet.name
+        with Bus(listen=[], connect=[self._fleet.plant_endpoint(robot) for robot in vehicles]) as bus:
+            bus.subscribe(key_expressions.checks(name, "*"), 32 * len(vehicles))
             begun = time.monotonic()
             while not self._interrupt.count:
                 waited_s = time.monotonic() - begun
@@ -116,19 +120,23 @@ def passed(found: Found) -> bool:
     return all(line.level != BLOCKING for lines in found.values() for line in lines)
 
 
-def show(found: Found, stream: TextIO) -> None:
-    """One table for each vehicle: with colours on a terminal, in plain columns elsewhere."""
+def show(found: Found, stream: TextIO, *, each: bool = False) -> None:
+    """One table for all vehicles; of one, or for `each`, a table with all that was found: with colours on a
+    terminal, in plain columns elsewhere."""
     console = Console(file=stream) if stream.isatty() else None
     simulated = [robot for robot, lines in found.items() if not lines]
-    for robot, lines in found.items():
-        if not lines:
-            continue
+    vehicles = {robot: lines for robot, lines in found.items() if lines}
+    if len(vehicles) > 1 and not each:
+        for text in matrix(vehicles, WIDTH if console is None else console.width):
+            print(text, file=stream)
+        vehicles = {}
+    for robot, lines in vehicles.items():
         if console is None:
             print(f"robot {robot}\n" + "\n".join(columns(lines)), file=stream)
         else:
             console.print(_table(robot, lines))
-    for robot in simulated:
-        print(f"robot {robot}  {SIMULATED}", file=stream)
+    if simulated:
+        print(f"{robots(simulated)}  {SIMULATED}", file=stream)
     print(summary(found), file=stream)
 
 
@@ -158,8 +166,10 @@ def summary(found: Found) -> str:
     blocking = {robot: _names(lines, BLOCKING) for robot, lines in found.items() if _names(lines, BLOCKING)}
     warnings = sum(len(_names(lines, WARNING)) for lines in found.values())
     if blocking:
-        text = "; ".join(f"robot {robot}: {', '.join(names)}" for robot, names in blocking.items())
-        return f"BLOCKED: {text}"
+        same: dict[str, list[int]] = {}
+        for robot, names in blocking.items():
+            same.setdefault(", ".join(names), []).append(robot)
+        return "BLOCKED: " + "; ".join(f"{robots(ids)}: {names}" for names, ids in same.items())
     return "CLEAR" + (f", with {warnings} warning{'s' * (warnings > 1)}" if warnings else "")
 
 

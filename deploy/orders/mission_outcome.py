@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from agent.common.time import NS_PER_S
 from agent.messages.codec import newer
 from agent.messages.types import Mission, Status
-from deploy.console.wording import lines_of
+from deploy.console.wording import grouped, robots
 
 
 def words(mission: Mission) -> str:
@@ -58,7 +58,7 @@ class Ordering:
         )
 
     def outcomes(self) -> list[str]:
-        """What became of it, in words."""
+        """What became of it, in words: how many have acknowledged it, and what is with the others."""
         if self.overruled:
             other = self._newest
             known = other is not None and newer(other, self._mission)
@@ -68,15 +68,19 @@ class Ordering:
             # That may have been made of this one: who orders again would have it twice.
             text = f"overtaken by another operator's order{what}, maybe on top of it"
             return [f"{text}; look before ordering again"]
-        return lines_of((self._outcome(robot), robot) for robot in self._ids)
+        have = sum(map(self.has_acknowledged, self._ids))
+        due = sum(robot in self._agents or robot not in self._removed for robot in self._ids)
+        lacking = [(self._outcome(robot), robot) for robot in self._ids if not self.has_acknowledged(robot)]
+        return [
+            f"{have} of {due} acknowledged",
+            *(f"{robots(ids)}: {text}" for text, ids in grouped(lacking)),
+        ]
 
     def _outcome(self, robot: int) -> str:
         if robot not in self._agents and robot in self._removed:
             return "has been removed"
         if robot not in self._agents:
             return "its agent is not there; the others will relay it"
-        if self.has_acknowledged(robot):
-            return "acknowledged"
         status = self._statuses.get(robot)
         if status is None:
             return "nothing heard from its agent"

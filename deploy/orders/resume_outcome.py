@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -11,7 +12,7 @@ from agent.messages.types import Message, PlantState, Resume, Status
 from agent.supervision.situation import NOT_SAID
 from agent.supervision.state_machine import DRIVING_NAMES, MISSION_OVER, State
 from agent.supervision.stop_latch import AWAITED
-from deploy.console.wording import lines_of
+from deploy.console.wording import grouped, robots
 
 _OVER: Final = (State.STOPPED.value, MISSION_OVER)
 
@@ -69,8 +70,14 @@ class Resuming:
 
     @property
     def outcomes(self) -> list[str]:
-        """What became of it, in words: a line for each robot, or of many for all of whom it is the same."""
-        return lines_of((self._outcome(robot), robot) for robot in self.robots)
+        """What became of it, in words: of how many it did what was meant, and what is with the others."""
+        well = Counter(self._outcome(robot) for robot in self.robots if self.runs(robot))
+        lacking = [(self._outcome(robot), robot) for robot in self.robots if not self.runs(robot)]
+        states = ", ".join(f"{count} {state}" for state, count in well.most_common())
+        return [
+            f"{well.total()} of {len(self.robots)} resumed" + (f" ({states})" if states else ""),
+            *(f"{robots(ids)}: {text}" for text, ids in grouped(lacking)),
+        ]
 
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""

@@ -241,7 +241,8 @@ class Stopping:
         return bool(self._states or self._heard_plants or self._down)
 
     def outcomes(self, *, each: bool) -> list[str]:
-        """What became of it, in words: a line for each robot; unless `each`, those that brake in one line."""
+        """What became of it, in words: a line for each robot; unless `each`, how many brake, and
+        what is with the others."""
         clock = [clock_ahead(self.ahead_s)] if self.ahead_s else []
         if behind_s := self.clocks.behind_s:
             clock = [clock_behind(behind_s)]
@@ -261,11 +262,11 @@ class Stopping:
             last_ns = max(last_ns, *(brakes.at_ns for brakes in known))
             ways[" and ".join(dict.fromkeys(brakes.way.partition(" to ")[0] for brakes in known))] += 1
         lines = [f"{robots(them)}: {text}" for text, them in grouped(said)]
+        summary = f"{ways.total()} of {len(ids)} robots brake"
         if ways:
             by_way = ", ".join(f"{count} {way}" for way, count in ways.most_common())
-            after_ms = (last_ns - self._begun_ns) / 1e6
-            lines.append(f"{ways.total()} robots brake, the last after {after_ms:.0f} ms ({by_way})")
-        return lines
+            summary += f", the last after {(last_ns - self._begun_ns) / 1e6:.0f} ms ({by_way})"
+        return [summary, *lines]
 
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""

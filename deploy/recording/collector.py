@@ -204,10 +204,7 @@ class RunData:
         fleet_toml: str | None = None,
     ) -> Recording:
         """The run as it stands; what is fed later does not change it."""
-        mission: Mission | None = None
-        for each in self._missions.values():
-            mission = each if newer(each, mission) else mission
-        epoch_ns = mission.epoch_ns if mission else self._first_ns()
+        mission, epoch_ns = self._mission(), self.begun_ns
         robots = {
             robot: RobotData(
                 robot,
@@ -239,6 +236,18 @@ class RunData:
             tuple(self._resumes.values()),
             {robot: tuple(beacons) for robot, beacons in self._beacons.items()},
         )
+
+    @property
+    def begun_ns(self) -> int:
+        """When its time is zero: the epoch of the last mission, or the first pose where none was heard."""
+        mission = self._mission()
+        return mission.epoch_ns if mission else self._first_ns()
+
+    def _mission(self) -> Mission | None:
+        mission: Mission | None = None
+        for each in self._missions.values():
+            mission = each if newer(each, mission) else mission
+        return mission
 
     def _first_ns(self) -> int:
         known = [rows.times.whole() for rows in self._plant.values()]

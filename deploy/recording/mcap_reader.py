@@ -1,4 +1,4 @@
-"""Reading a run's MCAP file, whole or cut short.
+"""Reading a run's MCAP file, whole, cut short or damaged.
 
 Not through `mcap.reader`: that one wants the index at the end of the file, which a killed run never
 wrote, and parses messages one by one, which takes ten times as long.
@@ -12,33 +12,25 @@ from collections.abc import Callable, Iterator
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Attachment, Channel, Metadata, Schema
 
+from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import CLASSES, Message
 from deploy.recording.collector import RunData
-from deploy.recording.foxglove import SCHEMA_PREFIX
+from deploy.recording.mcap_records import MAGIC, PREFIX, Lost, Records, records_in
 from deploy.recording.message_json import reader, schema_name
 from deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
 
-MAGIC: Final = b"\x89MCAP0\r\n"
-_PREFIX: Final = struct.Struct("<BQ")  # opcode, length
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_RECORD_BYTES_MAX: Final = 1 << 30
 _READERS: Final = {schema_name(cls): reader(cls) for cls in CLASSES}
-
-
-class _CutShort(Exception):
-    """The file ends, or makes no sense any more, before its end."""
 
 
 class _File:
@@ -48,80 +40,77 @@ class _File:
         self.path = path
         self.metadata: dict[str, dict[str, str]] = {}
         self.fleet_toml: str | None = None
-        self.warnings: list[str] = []
+        self._records: Records | None = None
+        self._unknown = 0
+        """Messages of which it is not known what they are."""
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, Callable[[dict[str, Any]], Message]] | None] = {}
 
     def read(self) -> Iterator[tuple[int, str, Message]]:
         """(reception time ns, key, message) of every message of ours, chunk by chunk, channel by channel."""
-        complete = False
         try:
             with open(self.path, "rb") as stream:
-                self._check_magic(stream)
-                try:
-                    for opcode, content in _records(stream):
-                        complete = complete or opcode == Opcode.DATA_END
-                        if opcode == Opcode.FOOTER:
-                            if stream.read(len(MAGIC)) != MAGIC:
-                                raise _CutShort
-                            return
-                        yield from self._record(opcode, content)
-                    raise _CutShort
-                except _CutShort:
-                    lost = (
-                        "its messages are all there"
-                        if complete
-                        else "what follows its last complete chunk is lost"
-                    )
-                    self.warnings.append(f"{self.path} is cut short or damaged: {lost}")
+                records = self._records = Records(stream)
+                magic = stream.seek(0) or stream.read(len(MAGIC))
+                if not magic:
+                    raise RecordingError(f"{self.path} is empty; a recording of handfast (MCAP) was expected")
+                for opcode, content in records:
+                    yield from self._record(opcode, content)
         except OSError as error:
             raise RecordingError(f"cannot read {self.path}: {error.strerror or error}") from error
-
-    def _check_magic(self, stream: IO[bytes]) -> None:
-        magic = stream.read(len(MAGIC))
-        if not magic:
-            raise RecordingError(f"{self.path} is empty; a recording of handfast (MCAP) was expected")
-        if magic != MAGIC:
+        if magic != MAGIC and not records.damaged:
             raise RecordingError(f"{self.path} is not an MCAP file; a recording of handfast was expected")
 
+    @property
+    def is_damaged(self) -> bool:
+        """Whether something of it could not be read; it may be cut short as well."""
+        return self._records is not None and self._records.damaged
+
+    def warnings(self, begun_ns: int) -> list[str]:
+        """What is to be said of parts that could not be read, by a clock that shows zero at `begun_ns`."""
+        records = self._records
+        assert records is not None
+        found = []
+        if records.lost:
+            spans = " and ".join(dict.fromkeys(_span(each, begun_ns) for each in records.lost))
+            found.append(f"{self.path}: damaged {spans}, left out")
+        if self._unknown:
+            found.append(
+                f"{self.path}: {self._unknown} messages of later on are lost as well: what they are was said "
+                "in what is damaged"
+            )
+        if not records.ends:
+            found.append(f"{self.path} is cut short or damaged: what follows its last complete chunk is lost")
+        elif not found and (records.damaged or not records.is_whole):
+            found.append(f"{self.path} is cut short or damaged: its messages are all there")
+        return found
+
     def _record(self, opcode: int, content: bytes) -> Iterator[tuple[int, str, Message]]:
-        try:
-            if opcode == Opcode.CHUNK:
-                data, length = get_chunk_data_stream(Chunk.read(_stream(content)), validate_crc=True)
-                yield from self._inside(data.read(length))
-            elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):  # a file without chunks
-                yield from self._inside(_PREFIX.pack(opcode, len(content)) + content)
-            elif opcode == Opcode.METADATA:
-                metadata = Metadata.read(_stream(content))
-                self.metadata[metadata.name] = metadata.metadata
-            elif opcode == Opcode.ATTACHMENT:
-                attachment = Attachment.read(_stream(content))
-                if attachment.name == FLEET_FILE:
-                    self.fleet_toml = attachment.data.decode()
-        except RecordingError:
-            raise
-        # The decompressors and the parser of damaged records raise a dozen unrelated types.
-        except (McapError, ValueError, struct.error, RuntimeError, MemoryError, OverflowError) as error:
-            raise _CutShort from error
-        except Exception as error:
-            if type(error).__module__.partition(".")[0] not in ("zstandard", "lz4", "zstd"):
-                raise
-            raise _CutShort from error
+        if opcode == Opcode.CHUNK:
+            yield from self._inside(content)
+        elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):  # a file without chunks
+            yield from self._inside(PREFIX.pack(opcode, len(content)) + content)
+        elif opcode == Opcode.METADATA:
+            metadata = Metadata.read(_stream(content))
+            self.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(_stream(content))
+            if attachment.name == FLEET_FILE:
+                self.fleet_toml = attachment.data.decode(errors="replace")
 
     def _inside(self, data: bytes) -> Iterator[tuple[int, str, Message]]:
         times: dict[int, list[int]] = {}
         texts: dict[int, list[bytes]] = {}
-        for opcode, content in _records(BytesIO(data)):
+        for opcode, content in records_in(data):
             if opcode == Opcode.MESSAGE:
                 channel, _, log_ns, _ = _MESSAGE.unpack_from(content)
+                if channel not in self._channels and self.is_damaged:
+                    self._look_up(channel)
                 if self._channels.get(channel) is not None:
                     times.setdefault(channel, []).append(log_ns)
                     texts.setdefault(channel, []).append(content[_MESSAGE.size :])
-            elif opcode == Opcode.SCHEMA:
-                found = Schema.read(_stream(content))
-                self._schemas[found.id] = found.name
-            elif opcode == Opcode.CHANNEL:
-                self._add_channel(Channel.read(_stream(content)))
+            else:
+                self._define(opcode, content)
         for channel, log_times in times.items():
             entry = self._channels[channel]
             assert entry is not None
@@ -139,10 +128,25 @@ class _File:
             for log_ns, message in zip(log_times, messages, strict=True):
                 yield log_ns, key, message
 
+    def _look_up(self, channel: int) -> None:
+        """Finds at the file's end what a channel is that was introduced in a damaged part."""
+        assert self._records is not None
+        for opcode, content in self._records.summary.records:
+            self._define(opcode, content)
+        self._unknown += channel not in self._channels
+
+    def _define(self, opcode: int, content: bytes) -> None:
+        """Takes a schema or a channel."""
+        if opcode == Opcode.SCHEMA:
+            found = Schema.read(_stream(content))
+            self._schemas[found.id] = found.name
+        elif opcode == Opcode.CHANNEL:
+            self._add_channel(Channel.read(_stream(content)))
+
     def _add_channel(self, channel: Channel) -> None:
         name = self._schemas.get(channel.schema_id, "")
-        # Raw payloads (no schema), pictures for Foxglove and schemas of a later version are not ours to read.
-        known = channel.message_encoding == "json" and name in _READERS and not name.startswith(SCHEMA_PREFIX)
+        # Raw payloads (no schema), what is derived and schemas of a later version are not ours to read.
+        known = channel.message_encoding == "json" and name in _READERS
         self._channels[channel.id] = (channel.topic, _READERS[name]) if known else None
 
 
@@ -150,18 +154,14 @@ def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(content))
 
 
-def _records(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """(opcode, content) of every record; raises `_CutShort` where one is not complete."""
-    while prefix := stream.read(_PREFIX.size):
-        if len(prefix) < _PREFIX.size:
-            raise _CutShort
-        opcode, length = _PREFIX.unpack(prefix)
-        if length > _RECORD_BYTES_MAX:
-            raise _CutShort
-        content = stream.read(length)
-        if len(content) < length:
-            raise _CutShort
-        yield opcode, content
+def _span(lost: Lost, begun_ns: int) -> str:
+    """From when to when a part is lost, in words."""
+    since, until = (None if ns is None else f"{(ns - begun_ns) / NS_PER_S:.1f} s" for ns in lost)
+    if since is None:
+        return "throughout" if until is None else f"up to {until}"
+    if until is None:
+        return f"from {since} on"
+    return f"at {since}" if since == until else f"from {since} to {until}"
 
 
 def read_run(folder: str | PathLike[str]) -> Recording:
@@ -185,8 +185,8 @@ def read_run(folder: str | PathLike[str]) -> Recording:
 def read_mcap(path: str | PathLike[str], fleet_path: str | PathLike[str] | None = None) -> Recording:
     """Read the recording at `path`, with the fleet file at `fleet_path`, else with the one inside it.
 
-    A file that was cut short, at whatever byte, is read to its last complete chunk; `Recording.warnings`
-    then says so.
+    A file that was cut short, at whatever byte, is read to its last complete chunk, and of one that is
+    damaged all is read but the chunks that are; `Recording.warnings` then says what is missing.
 
     Raises:
         RecordingError, FleetError: as `read_run`.
@@ -195,27 +195,37 @@ def read_mcap(path: str | PathLike[str], fleet_path: str | PathLike[str] | None 
     file = _File(path)
     messages = file.read()
     first = next(messages, None)
-    if RUN_METADATA not in file.metadata:
-        what = "is cut short before it says what it is" if file.warnings else "was not written by handfast"
+    if RUN_METADATA not in file.metadata and first is None:
+        cut = file.warnings(0)
+        what = "is cut short before it says what it is" if cut else "was not written by handfast"
         raise RecordingError(f"{path} {what}; a recording that a run has left was expected")
     if first is None:
-        cut = " (it is cut short)" if file.warnings else ""
-        raise RecordingError(f"{path} holds no message{cut}: there is nothing to report")
+        why = " (it is cut short or damaged)" if file.warnings(0) else ""
+        raise RecordingError(f"{path} holds no message{why}: there is nothing to report")
     fleet, fleet_toml = _fleet(file, None if fleet_path is None else Path(fleet_path))
-    run = file.metadata[RUN_METADATA]
+    run = file.metadata.get(RUN_METADATA, {})
     data = RunData(fleet, mode=run.get("mode", "run"), seed=_seed(run))
     data.feed(*first)
     for received_ns, key, message in messages:
         data.feed(received_ns, key, message)
+    reasons, interrupted, warnings = _outcome(file)
+    if RUN_METADATA not in file.metadata:
+        warnings.append(f"{path}: what it is a recording of is damaged, left out")
+    warnings += file.warnings(data.begun_ns)
+    return data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings, fleet_toml=fleet_toml)
+
+
+def _outcome(file: _File) -> tuple[list[str], bool, list[str]]:
+    """What only the operator knew of the run's end: reasons, whether it was interrupted, warnings."""
     outcome = file.metadata.get(OUTCOME_METADATA, {})
     try:
-        reasons = [str(reason) for reason in json.loads(outcome.get("reasons", "[]"))]
-        interrupted = bool(json.loads(outcome.get("interrupted", "false")))
-        warnings = [str(warning) for warning in json.loads(outcome.get("warnings", "[]"))]
-    except (ValueError, TypeError) as error:
-        raise RecordingError(f"{path}: its metadata {OUTCOME_METADATA} is damaged") from error
-    warnings += file.warnings
-    return data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings, fleet_toml=fleet_toml)
+        return (
+            [str(reason) for reason in json.loads(outcome.get("reasons", "[]"))],
+            bool(json.loads(outcome.get("interrupted", "false"))),
+            [str(warning) for warning in json.loads(outcome.get("warnings", "[]"))],
+        )
+    except (ValueError, TypeError):
+        return [], False, [f"{file.path}: what was noted at its end is damaged, left out"]
 
 
 def _seed(run: dict[str, str]) -> int | None:

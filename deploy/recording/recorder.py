@@ -22,12 +22,12 @@ from mcap.writer import CompressionType, Writer
 from agent.common.errors import Error
 from agent.fleet.loading import law_name, to_dict
 from agent.fleet.model import Fleet
-from agent.messages import key_expressions
 from agent.messages.codec import decode
-from agent.messages.types import Message, Mission, PlantState
+from agent.messages.types import Message
 from agent.messages.validation import Malformed
 from agent.runtime.version import handfast_version
-from deploy.recording.foxglove import SCHEMAS, Scene
+from deploy.recording.foxglove.channels import Channels
+from deploy.recording.foxglove.schemas import SCHEMAS
 from deploy.recording.message_json import schema, schema_name, to_json
 from deploy.recording.run_files import FLEET_FILE
 
@@ -41,7 +41,7 @@ FLUSH_PERIOD_NS: Final = 1_000_000_000
 # Garbage on made-up keys must not grow the file's tables without bound (MCAP has 2**16 channels).
 CHANNELS_MAX: Final = 4096
 _Kind = type[Message] | str | None
-"""What a channel carries: a message class, the name of a Foxglove schema, or None for raw bytes."""
+"""What a channel carries: a message class, the name of a derived channel's schema, or None for raw bytes."""
 _TIME_MAX: Final = 2**64 - 1
 _SEQUENCE_MASK: Final = 2**32 - 1  # MCAP's sequence has 32 bits
 
@@ -86,11 +86,7 @@ class Recorder:
         self._channels: dict[tuple[str, _Kind], int] = {}
         self._flush_due_ns: int | None = None
         self._now_ns = 0
-        self._scene = Scene(fleet)
-        name = fleet.fleet.name
-        self._missions_from = {key_expressions.mission(name)}
-        self._missions_from |= {key_expressions.relayed(name, robot) for robot in fleet.ids}
-        self._bodies_from = {key_expressions.plant_state(name, robot): robot for robot in fleet.ids}
+        self._derived = Channels(fleet)
         self._stream: IO[bytes] | None = None
         run = {
             "version": handfast_version(),
@@ -144,11 +140,8 @@ class Recorder:
         """Write one message that is decoded already (a simulation has it at hand)."""
         sequence = getattr(message, "sequence", getattr(message, "version", 0))
         self._write(received_ns, key, type(message), to_json(message), message.time_ns, sequence)
-        if type(message) is Mission and key in self._missions_from:
-            self._scene.take(message)
-        elif type(message) is PlantState and self._bodies_from.get(key) == message.robot:
-            for scene_key, name, content in self._scene.update(received_ns, message):
-                self._write(received_ns, scene_key, name, content, received_ns, 0)
+        for topic, name, content in self._derived.feed(received_ns, key, message):
+            self._write(received_ns, topic, name, content, received_ns, 0)
 
     def set_outcome(
         self, reasons: Sequence[str], *, interrupted: bool = False, warnings: Sequence[str] = ()

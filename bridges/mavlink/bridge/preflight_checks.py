@@ -20,7 +20,7 @@ from bridges.mavlink.bridge import parameter_audit
 from bridges.mavlink.session.reports import Ekf
 from bridges.mavlink.session.session import Session
 from bridges.mavlink.transport.connection_string import BY_ID
-from plant.backend import WAITING, Check
+from plant.backend import BATTERY, WAITING, Check
 
 FIRMWARE_MIN: Final = (4, 3)
 DATUM_FAR_M: Final = 1_000.0
@@ -314,7 +314,7 @@ def _round_trip(state: BridgeState) -> Check:
 def _battery(link: Session) -> Iterator[Check]:
     battery = link.battery
     if battery is None or (battery.voltage is None and battery.percent is None):
-        yield Check("battery", "warning", "not measured", "set up its battery monitor (BATT_MONITOR)")
+        yield Check(BATTERY, "warning", "not measured", "set up its battery monitor (BATT_MONITOR)")
         return
     shown = [f"{battery.voltage:.1f} V"] if battery.voltage is not None else []
     shown += [f"{battery.percent} %"] if battery.percent is not None else []
@@ -322,11 +322,11 @@ def _battery(link: Session) -> Iterator[Check]:
     low = link.parameters.get(constants.BATT_LOW_VOLT)
     empty = battery.percent is not None and battery.percent < BATTERY_MIN_PERCENT
     if empty or (low and battery.voltage is not None and battery.voltage < low):
-        yield Check("battery", "blocking", text, "charge it")
+        yield Check(BATTERY, "blocking", text, "charge it")
     elif battery.percent is not None and battery.percent < BATTERY_WARN_PERCENT:
-        yield Check("battery", "warning", text, "charge it soon")
+        yield Check(BATTERY, "warning", text, "charge it soon")
     else:
-        yield Check("battery", "ok", text)
+        yield Check(BATTERY, "ok", text)
 
 
 def _signing(link: Session, section: MavlinkSection, state: BridgeState) -> Check:

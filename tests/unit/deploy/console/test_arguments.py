@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from pathlib import Path
 
 import pytest
 
-from deploy.console.arguments import InputError, fleet_path, scenario_path
+from deploy.console.arguments import InputError, fleet_path, report_arguments, scenario_path
 from deploy.console.data_files import FLEETS
 
 
@@ -54,3 +55,21 @@ def test_a_name_that_is_like_one_there_is() -> None:
 def test_a_name_that_no_file_can_have_is_refused_in_one_line(name: str):
     with pytest.raises(InputError, match="too long for the name"):
         fleet_path(name)
+
+
+def test_formats_of_figures_are_told_in_one_option(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = ArgumentParser()
+    report_arguments(parser)
+    assert parser.parse_args([]).figures == ()
+    assert parser.parse_args(["--figures", "png, PDF,pdf"]).figures == ("png", "pdf")
+    for wrong in ("eps", "pdf,", ""):
+        with pytest.raises(SystemExit) as ended:
+            parser.parse_args(["--figures", wrong])
+        assert ended.value.code == 2
+        *_, said = capsys.readouterr().err.splitlines()
+        assert said.endswith(
+            f'"{wrong.removeprefix("pdf,")}": no format of figures; there are: png, svg, pdf'
+        )
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--no-report", "--figures", "pdf"])
+    assert "not allowed with" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import pty
+import select
 import termios
 from collections.abc import Callable
 from typing import TextIO
@@ -100,3 +101,15 @@ def test_a_ctrl_c_is_not_echoed_while_something_is_redrawn(make: Callable[[TextI
             assert not echoes()
         assert before
         assert echoes()
+
+
+@pytest.mark.parametrize("make", [live_view.Terminal, view.Terminal])
+def test_a_ctrl_c_drops_nothing_that_is_not_shown_yet(make: Callable[[TextIO], TerminalView]) -> None:
+    ours, theirs = pty.openpty()
+    with open(ours, "r+b", buffering=0) as keyboard, open(theirs, "w") as terminal, make(terminal) as shown:
+        shown.say("a line")
+        keyboard.write(b"\x03")
+        seen = b""
+        while b"a line" not in seen and select.select([ours], [], [], 1.0)[0]:
+            seen += keyboard.read(4096)
+        assert b"a line" in seen

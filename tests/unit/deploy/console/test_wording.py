@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.console.wording import ALIKE_MAX, grouped, lines_of, robots, some
+from deploy.console.wording import ALIKE_MAX, grouped, robots, some
 
 
 def test_names_of_robots_read_as_text() -> None:
@@ -54,8 +54,3 @@ def test_one_of_whom_several_such_texts_are_said_is_named_once() -> None:
 def test_times_of_day_and_addresses_are_no_numbers() -> None:
     said = [(f"stopped at 12:00:0{k} by 10.0.0.{k}:7447, v1.{k}.0", k) for k in range(1, 7)]
     assert grouped(said) == [(text, [robot]) for text, robot in said]
-
-
-def test_few_robots_have_a_line_each() -> None:
-    assert lines_of(("running", robot) for robot in range(1, 21))[0] == "robot 1: running"
-    assert lines_of(("running", robot) for robot in range(1, 22)) == ["21 robots (1-21): running"]

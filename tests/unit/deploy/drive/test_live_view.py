@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 
 import pytest
 
@@ -14,8 +15,9 @@ from agent.messages import key_expressions
 from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
 from deploy.analysis.silent_bodies import SilentBody
 from deploy.console.data_files import FLEETS
-from deploy.drive.live_view import Lines, faults_line, summary
+from deploy.drive.live_view import Lines, faults_line, make_view, packed, summary
 from deploy.drive.watch import Picture, RobotPicture, Watch
+from tests.screen import screen_lines
 
 EPOCH_NS = 1_800_000_000 * NS_PER_S
 
@@ -400,3 +402,76 @@ def test_robots_that_lag_are_named_with_what_they_say_of_it() -> None:
     assert "off place: 2 by 0.60 m, 1 by 0.30 m (held up by robot 2)" in summary(picture)
     picture.silent = [SilentBody(2, 75.0, 0.0, 0.0, 0.0, 0.0, 0.0, (1,), True)]
     assert "1 by 0.30 m (held up by robot 2, silent for 75 s)" in summary(picture)
+
+
+class Tty(io.StringIO):
+    """A terminal, as far as what is written to it goes."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def moving(time_s: float, count: int) -> Picture:
+    robots = {
+        robot: RobotPicture(
+            *("degraded", "held up by robot 1", 0.1, 40.0, 90, 0),
+            off_m=time_s,
+            nearest=(1.0, 1),
+            speed=0.5,
+        )
+        for robot in range(1, count + 1)
+    }
+    return Picture(time_s, 9.0, (1.0, 1, 2), (0.1, 1, 2), robots, ["live loss 30% on 1->2 (ana@lab:3211)"])
+
+
+@pytest.mark.parametrize("width", [60, 80, 140])
+@pytest.mark.parametrize("height", [8, 40])
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_the_last_table_stays_once_and_whole(
+    monkeypatch: pytest.MonkeyPatch, width: int, height: int, interrupted: bool
+) -> None:
+    for name, value in (("TERM", "xterm"), ("COLUMNS", str(width)), ("LINES", str(height))):
+        monkeypatch.setenv(name, value)
+    stream = Tty()
+    with suppress(KeyboardInterrupt), make_view(stream) as view:
+        for second in range(1, 6):
+            view.show(moving(float(second), count=12))
+            view.say(f"said at {second}")
+        if interrupted:
+            raise KeyboardInterrupt
+    stream.write("PASSED\n")
+    text = stream.getvalue()
+    lines = screen_lines(text, width)
+    assert lines[:5] == [f"said at {second}" for second in range(1, 6)]
+    assert max(map(len, lines)) <= width
+    table = lines[5:-2]
+    assert table[0].startswith("drove ")
+    assert table[0].endswith("5.0 of 9 s")
+    (heading,) = (number for number, line in enumerate(table) if line.startswith("robot  state"))
+    rows = [line.split()[:3] for line in table[heading + 1 :]]
+    assert rows == [[str(robot), "degraded", "5.00"] for robot in range(1, 13)]
+    assert lines[-2:] == ["PASSED", ""]
+    assert sum("of 9 s" in line for line in lines) == 1
+    assert (" more (" in text) == (height == 8), "robots for which there is no room are counted"
+    # No drawing is higher than the terminal: what has left it at the top cannot be erased.
+    drawings = text.split("driving")[1:]
+    assert all(drawing.partition("\r")[0].count("\n") < height for drawing in drawings)
+
+
+def test_a_drive_of_which_nothing_was_shown_leaves_no_empty_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    stream = Tty()
+    with make_view(stream) as view:
+        view.say("Not started: a reason.")
+    stream.write("FAILED\n")
+    assert screen_lines(stream.getvalue(), 80) == ["Not started: a reason.", "FAILED", ""]
+
+
+def test_parts_of_a_summary_are_broken_where_they_end() -> None:
+    assert packed(["worst edge 0.1 m", "closest 0.8 m", "all running"], 33) == [
+        "worst edge 0.1 m, closest 0.8 m,",
+        "all running",
+    ]
+    assert packed(["worst edge 0.1 m", "closest 0.8 m"], 31) == ["worst edge 0.1 m,", "closest 0.8 m"]
+    assert packed(["longer than it is wide", "b"], 10) == ["longer than it is wide,", "b"]
+    assert packed([], 10) == []

@@ -29,10 +29,12 @@ def test_done_when_all_know() -> None:
     assert not made.look(FLEET.ids, {}, MISSION)
     assert not made.look(FLEET.ids, statuses(r3=1), MISSION)
     assert not made.done
-    assert made.outcomes()[2] == "robot 3: has not taken it: running"
+    every = len(FLEET.ids)
+    lacking = [f"{every - 1} of {every} acknowledged", "robot 3: has not taken it: running"]
+    assert made.outcomes() == lacking, "nobody else is named"
     assert made.look(FLEET.ids, statuses(), MISSION)
     assert made.done
-    assert made.outcomes() == [f"robot {robot}: acknowledged" for robot in FLEET.ids]
+    assert made.outcomes() == [f"{every} of {every} acknowledged"]
 
 
 def test_who_is_not_there_is_named_and_not_waited_for() -> None:
@@ -40,7 +42,7 @@ def test_who_is_not_there_is_named_and_not_waited_for() -> None:
     there = [robot for robot in FLEET.ids if robot != 3]
     assert made.look(there, statuses(r3=1), MISSION)
     assert not made.done
-    assert made.outcomes()[2] == "robot 3: its agent is not there; the others will relay it"
+    assert made.outcomes()[1] == "robot 3: its agent is not there; the others will relay it"
     assert not made.look([], {}, MISSION), "nobody is there as yet"
 
 
@@ -50,10 +52,11 @@ def test_who_was_removed_is_not_waited_for_unless_it_is_there() -> None:
     made = Ordering(removed, FLEET.ids)
     assert made.look(there, statuses(60, r3=1), removed)
     assert made.done
-    assert made.outcomes()[2] == "robot 3: has been removed"
+    others = len(there)
+    assert made.outcomes() == [f"{others} of {others} acknowledged", "robot 3: has been removed"]
     assert not made.look(FLEET.ids, statuses(60, r3=1), removed), "it is back, and has not taken it"
     assert not made.done
-    assert made.outcomes()[2] == "robot 3: has not taken it: running"
+    assert made.outcomes()[1] == "robot 3: has not taken it: running"
     made.look([robot for robot in there if robot != 4], statuses(60), removed)
     assert not made.done
 

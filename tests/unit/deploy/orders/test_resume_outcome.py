@@ -175,3 +175,20 @@ def test_who_waits_for_a_word_will_go_on_with_those_that_are_meant() -> None:
     assert Resuming(ROVERS, message, before).others == [2]
     assert Resuming(ROVERS, message._replace(robots=()), before).others == []
     assert resuming_of(1).others == []
+
+
+def test_those_that_go_on_are_counted_and_only_the_others_named() -> None:
+    resuming = resuming_of()
+    ids = ROVERS.ids
+    for robot in ids:
+        say(resuming, robot, "running")
+    count = len(ids)
+    assert resuming.outcomes == [f"{count} of {count} resumed ({count} running)"]
+    say(resuming, ids[0], "standby")
+    say(resuming, ids[-1], "released", obeying=False, note="mode MANUAL, not GUIDED")
+    assert resuming.outcomes == [
+        f"{count - 1} of {count} resumed ({count - 2} running, 1 standby)",
+        f"robot {ids[-1]}: still released: mode MANUAL, not GUIDED: its operator must give it back first",
+    ]
+    nobody = resuming_of()
+    assert nobody.outcomes[0] == f"0 of {count} resumed"

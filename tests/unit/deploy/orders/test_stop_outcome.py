@@ -160,15 +160,16 @@ def test_of_many_those_that_brake_are_one_line_and_the_others_one_each() -> None
     made.found(EPOCH + 700 * MS, 7, "plant", "braking", VERSION, "over ssh to host7")
     agent(made, 8, 25, "running", 0)
     assert made.outcomes(each=False) == [
+        "5 of 6 robots brake, the last after 840 ms (4 over a new link, 1 over ssh)",
         "robot 8: running: its agent has not taken the stop, nothing heard from its plant",
-        "5 robots brake, the last after 840 ms (4 over a new link, 1 over ssh)",
     ]
     assert made.outcomes(each=True) == [made.outcome(robot) for robot in FLEET.ids]
     assert made.outcomes_of((1, 7), each=False) == [
-        "2 robots brake, the last after 840 ms (1 over a new link, 1 over ssh)"
+        "2 of 2 robots brake, the last after 840 ms (1 over a new link, 1 over ssh)"
     ]
     assert stopping().outcomes(each=False) == [
-        "robots 1, 2, 3, 4, 7 and 8: nothing heard from its agent, nothing heard from its plant"
+        "0 of 6 robots brake",
+        "robots 1, 2, 3, 4, 7 and 8: nothing heard from its agent, nothing heard from its plant",
     ]
 
 

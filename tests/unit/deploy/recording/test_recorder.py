@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
-from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +31,9 @@ from agent.messages.types import (
     Status,
     Wrench,
 )
-from deploy.recording.foxglove import Scene
-from deploy.recording.mcap_reader import MAGIC
+from deploy.recording.foxglove.channels import Channels
+from deploy.recording.foxglove.schemas import SCHEMAS
+from deploy.recording.mcap_reader import MAGIC, read_mcap
 from deploy.recording.message_json import reader, schema, to_json
 from deploy.recording.recorder import (
     CHANNELS_MAX,
@@ -51,7 +50,6 @@ from tests.unit.deploy.synthetic_run import (
     make_fleet,
     messages,
     payloads,
-    standing,
     triangle,
 )
 
@@ -174,7 +172,7 @@ def test_every_field_is_described(cls: type[Message]) -> None:
 def test_a_recording_holds_every_message_with_its_times(tmp_path: Path) -> None:
     sent = list(messages(FLEET, in_formation(FLEET)))
     recorder = record(tmp_path / "run.mcap", ((t, key, encode(message)) for t, key, message in sent))
-    found = [each for each in read(tmp_path / "run.mcap") if not each[0].name.startswith("foxglove.")]
+    found = [each for each in read(tmp_path / "run.mcap") if "derived" not in each[1].metadata]
     assert recorder.recorded == len(found) == len(sent)
     for (received_ns, key, message), (described, channel, stored) in zip(sent, found, strict=True):
         assert (channel.topic, channel.message_encoding) == (key, "json")
@@ -198,6 +196,7 @@ def test_a_recording_holds_what_bodies_said_and_who_may_drive_again(tmp_path: Pa
     found = [
         (stored.log_time, channel.topic, reader(names[described.name])(json.loads(stored.data)))
         for described, channel, stored in read(tmp_path / "run.mcap")
+        if "derived" not in channel.metadata
     ]
     assert found == sent
 
@@ -332,78 +331,28 @@ def test_a_disk_that_fills_up_is_said_once_and_ends_quietly(tmp_path: Path) -> N
     recorder.close()
 
 
-def test_foxglove_sees_robots_and_edges_ten_times_a_second(tmp_path: Path) -> None:
-    fleet = replace(FLEET, robots=tuple(replace(robot, hand_offset_m=0.2) for robot in FLEET.robots))
-    paths = [standing(1.0, 2.0, 0.5), standing(3.0, 2.0), standing(2.0, 4.0)]
+def test_a_recording_holds_what_foxglove_shows_and_no_reader_takes_it_for_a_message(tmp_path: Path) -> None:
+    fleet = make_fleet(*triangle(2), duration_s=1.0, velocity=(0.4, 0.1))
+    sent = list(messages(fleet, in_formation(fleet)))
+    derived = Channels(fleet)
     with Recorder(tmp_path / "run.mcap", fleet) as recorder:
-        for received_ns, key, message in messages(fleet, paths):
+        for received_ns, key, message in sent:
             recorder.record_message(received_ns, key, message)
-    scene: dict[str, list[Any]] = {}
-    for described, channel, stored in read(tmp_path / "run.mcap"):
-        if described.name.startswith("foxglove."):
-            assert channel.metadata == {"derived": "true"}
-            content = json.loads(stored.data)
-            scene.setdefault(channel.topic, []).append((described.name, stored.log_time, content))
-    assert set(scene) == {f"made-up/foxglove/{name}" for name in ("robots", "poses", "edges")}
-
-    poses = scene["made-up/foxglove/poses"]
-    assert {name for name, _, _ in poses} == {"foxglove.FrameTransforms"}
-    seconds = (poses[-1][1] - poses[0][1]) / 1e9
-    assert 9 <= (len(poses) - 1) / seconds <= 11
-    first = poses[-1][2]["transforms"][0]
-    assert (first["parent_frame_id"], first["child_frame_id"]) == ("world", "robot/1")
-    assert first["translation"] == {"x": 1.0, "y": 2.0, "z": 0.0}
-    assert isclose(first["rotation"]["z"], 0.24740395925452294)  # sin(0.25)
-
-    ((name, _, shapes),) = scene["made-up/foxglove/robots"]
-    assert name == "foxglove.SceneUpdate"
-    assert [entity["frame_id"] for entity in shapes["entities"]] == ["robot/1", "robot/2", "robot/3"]
-
-    line = scene["made-up/foxglove/edges"][-1][2]["entities"][0]["lines"][0]
-    assert line["type"] == 2  # pairs of points
-    ends = [(point["x"], point["y"]) for point in line["points"]]
-    hands = {1: (1.0 + 0.2 * 0.8775825618903728, 2.0 + 0.2 * 0.479425538604203), 2: (3.2, 2.0), 3: (2.2, 4.0)}
-    assert ends == [pytest.approx(hands[i]) for edge in fleet.formation.edges for i in edge]
-
-
-def test_foxglove_draws_the_edges_of_the_mission_in_force() -> None:
-    def edges(scene: Scene, t: float) -> int:
-        still = (*(0.0,) * 7, True, True, True, "")
-        poses = [PlantState(robot, 0, EPOCH_NS, *still) for robot in (1, 2, 3)]
-        drawn = [
-            json.loads(content)["entities"][0]["lines"][0]["points"]
-            for pose in poses
-            for key, _, content in scene.update(EPOCH_NS + round(t * 1e9), pose)
-            if key.endswith("edges")
-        ]
-        return len(drawn[-1]) // 2
-
-    scene = Scene(FLEET)
-    places = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.0))
-    mission = Mission(
-        1, EPOCH_NS, EPOCH_NS, 10**10, "", EPOCH_NS + 2 * 10**9, 10**9, robots=places, edges=((1, 2, 1.0),)
-    )
-    edges(scene, -1.0)
-    scene.take(mission)
-    scene.take(mission._replace(version=2, robots=((99, 0.0, 0.0),)))  # of nobody's fleet
-    assert [edges(scene, t) for t in (0.0, 2.5, 4.0)] == [3, 3, 1]
-
-
-def test_foxglove_draws_the_edges_of_assigned_slots(tmp_path: Path) -> None:
-    """Robots that start in each other's slots swap them, edges and all."""
-    base = make_fleet([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], [(1, 2), (2, 3)])
-    robots = (replace(base.robots[0], x_m=1.0), replace(base.robots[1], x_m=0.0), base.robots[2])
-    fleet = replace(base, robots=robots, formation=replace(base.formation, assign=True))
-    with Recorder(tmp_path / "run.mcap", fleet) as recorder:
-        for received_ns, key, message in messages(fleet, [standing(1, 0), standing(0, 0), standing(2, 0)]):
-            recorder.record_message(received_ns, key, message)
-    drawn = [
-        json.loads(stored.data)["entities"][0]["lines"][0]["points"]
-        for _, channel, stored in read(tmp_path / "run.mcap")
-        if channel.topic.endswith("edges")
+    expected = [
+        (received_ns, *each)
+        for received_ns, key, message in sent
+        for each in derived.feed(received_ns, key, message)
     ]
-    ends = [point["x"] for point in drawn[-1]]
-    assert {frozenset(ends[k : k + 2]) for k in (0, 2)} == {frozenset({1.1, 0.1}), frozenset({1.1, 2.1})}
+    found = []
+    for described, channel, stored in read(tmp_path / "run.mcap"):
+        if channel.topic.startswith("/"):
+            assert (channel.metadata, channel.message_encoding) == ({"derived": "true"}, "json")
+            assert json.loads(described.data) == SCHEMAS[described.name]
+            found.append((stored.log_time, channel.topic, described.name, stored.data))
+    assert found == expected
+    assert len({topic for _, topic, _, _ in found}) >= 7
+    assert recorder.recorded == len(sent)
+    assert read_mcap(tmp_path / "run.mcap").foreign == 0
 
 
 def test_chunks_are_in_the_order_of_time(tmp_path: Path) -> None:
@@ -412,14 +361,3 @@ def test_chunks_are_in_the_order_of_time(tmp_path: Path) -> None:
     assert summary is not None
     assert len(summary.chunk_indexes) >= 2
     assert all(a.message_end_time <= b.message_start_time for a, b in pairwise(summary.chunk_indexes))
-
-
-def test_foxglove_does_not_see_poses_that_are_not_to_be_used() -> None:
-    fleet = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)])
-    scene = Scene(fleet)
-    lost = PlantState(1, 0, EPOCH_NS, *[0.0] * 7, False, False, True, "no position yet")
-    assert list(scene.update(EPOCH_NS, lost)) == []
-    known = lost._replace(x=5.0, healthy=True)
-    drawn = {key: json.loads(content) for key, _, content in scene.update(EPOCH_NS, known)}
-    (transform,) = drawn["made-up/foxglove/poses"]["transforms"]
-    assert transform["translation"]["x"] == 5.0
