@@ -65,9 +65,11 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
         Command("new", "local.new", "write a commented fleet file to start from"),
     ),
     "study what was driven, or drive it many times": (
-        Command("view", "local.view", "show a recorded run in the browser, at any moment of it"),
+        Command(
+            "view", "local.view", "show a run, or a fleet as it drives, in the browser, with a STOP beside it"
+        ),
         Command("report", "local.report", "rebuild figures, metrics and report of a run from its recording"),
-        Command("export", "local.export", "write a run's data as tables"),
+        Command("export", "local.export", "write a run's data as tables or a ROS 2 bag"),
         Command("film", "local.film", "make a film of a run, for a slide or a README"),
         Command(
             "sweep",

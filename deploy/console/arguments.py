@@ -23,6 +23,8 @@ class InputError(Error):
 NAME_BYTES_MAX: Final = 255
 PATH_MAX: Final = 4_000
 """Of a path, and of each part of it, as file systems have it."""
+FIGURE_FORMATS: Final = ("png", "svg", "pdf")
+"""Of a run's figures; the first one is always made."""
 
 
 def fleet_path(name: str) -> Path:
@@ -123,7 +125,7 @@ def drive_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="the run's folder (default: runs/FLEET-TIME); must be empty or new",
     )
-    parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
+    report_arguments(parser)
     parser.add_argument(
         "--no-check",
         dest="check",
@@ -131,6 +133,47 @@ def drive_arguments(parser: argparse.ArgumentParser) -> None:
         help="drive even where `check` finds errors (and `run` more robots than this machine carries)",
     )
     parser.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
+
+
+def view_argument(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--view``."""
+    parser.add_argument(
+        "--view",
+        action="store_true",
+        help="show the fleet in the browser while it drives, and then its recording, until Ctrl-C",
+    )
+
+
+def report_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what is made of a drive at its end: ``--no-report`` or ``--figures``."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
+    figures_argument(either)
+
+
+def figures_argument(parser: argparse._ActionsContainer) -> None:
+    """Adds ``--figures FORMATS``, as `options.figures`: a tuple of `FIGURE_FORMATS`."""
+    parser.add_argument(
+        "--figures",
+        type=figure_formats,
+        default=(),
+        metavar="svg|pdf",
+        help="write figures in this format too, beside the PNGs; several: svg,pdf",
+    )
+
+
+def figure_formats(text: str) -> tuple[str, ...]:
+    """The formats in the value of ``--figures``, each once.
+
+    Raises:
+        argparse.ArgumentTypeError: one is none of `FIGURE_FORMATS`.
+    """
+    formats = tuple(dict.fromkeys(each.strip().lower() for each in text.split(",")))
+    for each in formats:
+        if each not in FIGURE_FORMATS:
+            known = ", ".join(FIGURE_FORMATS)
+            raise argparse.ArgumentTypeError(f"{show(each)}: no format of figures; there are: {known}")
+    return formats
 
 
 def host_argument(parser: argparse.ArgumentParser) -> None:

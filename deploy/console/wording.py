@@ -81,17 +81,6 @@ def grouped(said: Iterable[tuple[str, int]]) -> list[tuple[str, list[int]]]:
     return out
 
 
-def lines_of(said: Iterable[tuple[str, int]]) -> list[str]:
-    """A line for each robot, 'robot 3: running'; of more than `FEW` one for all of whom the same is said.
-
-    Args:
-        said: pairs of a text and a robot.
-    """
-    every = list(said)
-    same = grouped(every) if len(every) > FEW else [(text, [robot]) for text, robot in every]
-    return [f"{robots(ids)}: {text}" for text, ids in same]
-
-
 def _mask(part: re.Match[str]) -> str:
     return "robots" if part["ids"] else "0"
 

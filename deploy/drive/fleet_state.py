@@ -53,6 +53,7 @@ class FleetState:
 
     Args:
         record: keeps what comes.
+        listens: keys to listen to; all there are unless given.
 
     Attributes:
         author: who gives orders here.
@@ -61,7 +62,14 @@ class FleetState:
         states: the latest state of each plant that is up.
     """
 
-    def __init__(self, fleet: Fleet, bus: OperatorBus, processes: FleetProcesses, record: Record) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        bus: OperatorBus,
+        processes: FleetProcesses,
+        record: Record,
+        listens: Sequence[str] = (),
+    ) -> None:
         self.fleet: Final = fleet
         self.processes: Final = processes
         self._bus, self._record = bus, record
@@ -86,7 +94,8 @@ class FleetState:
         name = fleet.fleet.name
         for key in self.operator.keys.values():
             bus.declare(key)
-        bus.subscribe(key_expressions.everything(name), RECORDER_INBOX)
+        for key in listens or (key_expressions.everything(name),):
+            bus.subscribe(key, RECORDER_INBOX)
         self._presence = bus.watch(key_expressions.alive(name, "*", "*"))
 
     # ------------------------------------------------------------------ what comes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
+from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
@@ -17,6 +17,18 @@ _STANDBY: Final = State.STANDBY.value
 _RELEASED: Final = State.RELEASED.value
 _ACTIVE: Final = DRIVING_NAMES | {State.HOLDING.value, _RELEASED}
 _IN: Final = (_STANDBY, State.FAULT.value)
+
+
+ORDERED: Final = "order"
+CHANGED: Final = "state"
+
+
+class Happening(NamedTuple):
+    """Something that happened: `ORDERED` or `CHANGED`, in words, to which robots (none: to all)."""
+
+    kind: str
+    text: str
+    robots: tuple[int, ...] = ()
 
 
 class News:
@@ -61,20 +73,28 @@ class News:
             self._remarks.add(text)
             self._orders.append(text)
 
-    def sentences(self, time_s: float | None) -> list[str]:
+    def happenings(self, time_s: float | None) -> list[Happening]:
         """What happened since the last call; `time_s` is the fleet time, None before the epoch is set."""
-        at = "" if time_s is None else f"{time_s:.1f} s: "
-        said = [at + text for text in self._orders]
+        said = [Happening(ORDERED, text) for text in self._orders]
         self._orders = []
         told = dict.fromkeys(
             (self._words(robot, before, state, reason, time_s), robot)
             for robot, before, state, reason in self._changes
         )
         self._changes = []
-        changes = [f"{at}{_are(ids)} {text}" for text, ids in grouped(told) if text]
+        changes = [
+            Happening(CHANGED, f"{_are(ids)} {text}", tuple(sorted(ids)))
+            for text, ids in grouped(told)
+            if text
+        ]
         more = len(changes) - SENTENCES_MAX
         said += changes[:SENTENCES_MAX]
-        return [*said, f"{at}and {more} more changes of state"] if more > 0 else said
+        return [*said, Happening(CHANGED, f"and {more} more changes of state")] if more > 0 else said
+
+    def sentences(self, time_s: float | None) -> list[str]:
+        """The same in sentences, each with its time."""
+        at = "" if time_s is None else f"{time_s:.1f} s: "
+        return [at + each.text for each in self.happenings(time_s)]
 
     def _words(self, robot: int, before: str, state: str, reason: str, time_s: float | None) -> str:
         """The change after "robot 3 is", "" when it is not worth a line."""

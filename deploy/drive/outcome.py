@@ -66,15 +66,23 @@ def finish(
     from deploy.recording.recorder import RecordingError
 
     try:
-        result = folder.finish(reasons, interrupt=interrupt, warnings=warnings, report=options.report)
+        result = folder.finish(
+            reasons, interrupt=interrupt, warnings=warnings, report=options.report, formats=options.figures
+        )
     except RecordingError as error:
         print(f"handfast: {error}", file=sys.stderr)
         return FAILED
     status = conclude(result, folder.path)
-    if options.report and not (folder.path / REPORT_FILE).exists():
-        makes = f"`handfast report {quote(str(folder.path))}` makes them"
-        print(f"  figures and report left out after Ctrl-C: {makes}")
+    if options.report:
+        say_left_out(folder.path)
     return INTERRUPTED if interrupt.count else status
+
+
+def say_left_out(folder: Path) -> None:
+    """Says that there is no report, where there is none, and how to make it later."""
+    if not (folder / REPORT_FILE).exists():
+        makes = f"`handfast report {quote(str(folder))}` makes them"
+        print(f"  figures and report left out after Ctrl-C: {makes}")
 
 
 def conclude(result: RunResult, folder: Path) -> int:

@@ -6,14 +6,14 @@ A bridge to a vehicle says `agent.messages.types.Checks` again and again. A bloc
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import LEVELS, Checks, Message
-from deploy.console.wording import robots
+from deploy.console.wording import grouped, robots
 from plant.backend import WAITING
 
 SETTLE_NS: Final = 5 * NS_PER_S
@@ -35,10 +35,18 @@ class Line(NamedTuple):
         """Whether it is blocking for now, and may get better by itself."""
         return self.level == BLOCKING and self.found.startswith(WAITING)
 
-    def said_of(self, *ids: int) -> str:
-        """The line in one sentence, of the robots that it is about."""
+    def __str__(self) -> str:
         advice = f" ({self.advice})" if self.advice else ""
-        return f"{robots(ids)}: {self.name}: {self.found}{advice}"
+        return f"{self.name}: {self.found}{advice}"
+
+
+def sentences(said: Iterable[tuple[Line, int]]) -> list[str]:
+    """Lines in words, with the robots of which they are said; what many have in common is said once.
+
+    Args:
+        said: pairs of a line and a robot.
+    """
+    return [f"{robots(ids)}: {text}" for text, ids in grouped((str(line), robot) for line, robot in said)]
 
 
 class VehicleChecks:
@@ -98,12 +106,12 @@ class VehicleChecks:
 
     def refusals(self, now_ns: int) -> list[str]:
         """Sentences for the lines over which no drive begins."""
-        return [
-            line.said_of(robot)
+        return sentences(
+            (line, robot)
             for robot in self.robots
             for line in self.lines(robot)
             if now_ns - self._since_ns.get((robot, line.name), now_ns) >= SETTLE_NS
-        ]
+        )
 
     def waits(self) -> dict[int, str]:
         """What is still to come, of each robot."""
@@ -118,9 +126,6 @@ class VehicleChecks:
 
     def warnings(self) -> list[str]:
         """Sentences for what is worth knowing; one that several robots share is said once."""
-        who: dict[Line, list[int]] = {}
-        for robot in self.robots:
-            for line in self.lines(robot):
-                if line.level == WARNING:
-                    who.setdefault(line, []).append(robot)
-        return [line.said_of(*ids) for line, ids in who.items()]
+        return sentences(
+            (line, robot) for robot in self.robots for line in self.lines(robot) if line.level == WARNING
+        )

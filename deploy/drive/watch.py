@@ -2,32 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot, inf, isinf
 from typing import Final, TypeVar
 
+import numpy as np
+
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
-from agent.formation.reference import Reference
+from agent.formation.reference import Edge, Reference
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
-from agent.messages.types import Beacon, Faults, HandState, Message, Mission, PlantState, Resume, Status, Stop
+from agent.messages.types import (
+    Beacon,
+    Checks,
+    Faults,
+    HandState,
+    Message,
+    Mission,
+    PlantState,
+    Resume,
+    Status,
+    Stop,
+)
 from agent.supervision.state_machine import DRIVING_NAMES
 from agent.supervision.status import status_hz
 from deploy.analysis.places import AT_PLACE
 from deploy.analysis.silent_bodies import SilentBodies, SilentBody
 from deploy.drive.lagging import Lagging
-from deploy.drive.news import News
+from deploy.drive.news import Happening, News
+from deploy.drive.vehicle_checks import Line
 from deploy.faults.live import Held, shown
 from deploy.faults.wording import defaults, held, lasts, words
 from deploy.orders.operator import Known
+from plant.backend import BATTERY
 
 SILENT_S: Final = 1.0
 SILENT_STATUSES: Final = 4.0
 """Who has said nothing for so long, and for so many of the times in which its agent tells its status, is
 silent."""
+PLANT_SILENT_NS: Final = NS_PER_S
+"""What a plant measured holds no longer than this, once others have measured since."""
 
 
 @dataclass
@@ -63,7 +80,8 @@ class RobotPicture:
     """One robot: its state and why, its worst distance error (m), the age of its oldest neighbour
     (ms), its last tick's time (us), the ticks it missed, what is wrong with clocks in its eyes: of the
     neighbour whose clock is furthest off, its id and by how much it is ahead (s); and how far it is from its
-    place (m). Of one that is silent only its state, why, and the ticks that it missed until then."""
+    place (m). Of one that is silent only its state, why, the ticks that it missed until then, and its
+    battery."""
 
     state: str
     reason: str
@@ -75,6 +93,12 @@ class RobotPicture:
     off_m: float | None = None
     silent_s: float | None = None
     """For how long a robot that is silent has said nothing, s."""
+    nearest: tuple[float, int] | None = None
+    """Distance (m) of its hand to that of the robot nearest to it, and which that is."""
+    speed: float | None = None
+    """Of its body along its heading, m/s, as its plant measures it; None while its plant says nothing."""
+    battery: Line | None = None
+    """What its plant says of its battery, None where it says nothing of one."""
 
 
 class Watch:
@@ -86,6 +110,11 @@ class Watch:
         self._known = Known(fleet, geometry)
         self.hands: dict[int, HandState] = {}
         self.statuses: dict[int, Status] = {}
+        self._plants: dict[int, PlantState] = {}
+        self._plant_keys = {
+            key_expressions.plant_state(fleet.fleet.name, robot): robot for robot in fleet.ids
+        }
+        self._batteries: dict[int, Line] = {}
         self._lagging = Lagging()
         self._silent = SilentBodies()
         self._heard: set[int] = set()
@@ -113,10 +142,16 @@ class Watch:
             self._silent.hear(message)
             self._heard.add(message.robot)
         elif type(message) is PlantState:
+            if self._plant_keys.get(key) == message.robot:
+                _keep_newest(self._plants, message)
             if message.note and message.healthy and message.obeying:
                 self._news.remark(message.robot, message.note)
         elif type(message) is Faults:
             self._held.feed(key, message)
+        elif type(message) is Checks and key == key_expressions.checks(name, message.robot):
+            found = [Line._make(line) for line in message.lines if line.name == BATTERY]
+            if found:
+                self._batteries[message.robot] = found[0]
         elif type(message) is Mission or type(message) is Stop or type(message) is Resume:
             self._follow(key, message)
 
@@ -137,6 +172,10 @@ class Watch:
         """Sentences for what was ordered and which robots changed their state since the last call."""
         return self._news.sentences(time_s)
 
+    def happenings(self, time_s: float | None) -> list[Happening]:
+        """The same, not yet in sentences: either is asked for, not both."""
+        return self._news.happenings(time_s)
+
     def states(self) -> dict[int, str]:
         """Every robot's state, "" of one that has said nothing yet."""
         return {
@@ -147,6 +186,15 @@ class Watch:
         """Robots that have a place in the formation at this fleet time."""
         now_ns = self._now_ns(time_s)
         return [robot for robot in self._fleet.ids if self._reference.is_member(robot, now_ns)]
+
+    def place(self, robot: int, time_s: float | None) -> tuple[float, float] | None:
+        """Where a robot should be at this fleet time, m (W); None for one without a place."""
+        motion = self._reference.motion(robot, self._now_ns(time_s))
+        return None if motion is None else motion[:2]
+
+    def edges(self, robot: int, time_s: float | None) -> tuple[Edge, ...]:
+        """The edges of a robot at this fleet time."""
+        return self._reference.edges(robot, self._now_ns(time_s))
 
     def picture(self, time_s: float | None) -> Picture:
         """The fleet now; `time_s` is the fleet time, None before the epoch is set."""
@@ -162,7 +210,7 @@ class Watch:
         }
         silent_s = {} if time_s is None else self._silent_s(time_s)
         hands = at_once(self.hands)
-        near = ((hand, robot in silent_s) for robot, hand in hands.items() if robot not in gone)
+        near = nearest_of_each({robot: hands[robot] for robot in hands.keys() - gone}, silent_s)
         picture.nearest = closest(near)
         errors: dict[int, float] = {}
         least_m = inf
@@ -180,6 +228,7 @@ class Watch:
                     picture.worst = error, *pair
         if time_s is not None:
             picture.silent = self._silent.bodies(removed)
+        speeds = self._speeds()
         picture.robots = {
             robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
         }
@@ -187,13 +236,15 @@ class Watch:
             if robot in silent_s:
                 carried = ", and its body has been removed" if robot in gone else ""
                 why = f"has said nothing for {silent_s[robot]:.0f} s{carried}"
-                picture.robots[robot] = RobotPicture(
+                about = picture.robots[robot] = RobotPicture(
                     "silent", why, None, None, None, about.overruns, silent_s=silent_s[robot]
                 )
-                continue
-            place = self._reference.motion(robot, now_ns) if robot in self.hands else None
-            if place is not None:
-                about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
+            else:
+                about.nearest, about.speed = near.get(robot), speeds.get(robot)
+                place = self._reference.motion(robot, now_ns) if robot in self.hands else None
+                if place is not None:
+                    about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
+            about.battery = self._batteries.get(robot)
         if time_s is not None and least_m < inf:
             driving = {
                 robot: about.off_m
@@ -202,6 +253,15 @@ class Watch:
             }
             picture.lagging = self._lagging.look(time_s, driving, AT_PLACE * least_m)
         return picture
+
+    def _speeds(self) -> dict[int, float]:
+        """Speeds (m/s) of the bodies of which something was heard lately."""
+        newest_ns = max((plant.time_ns for plant in self._plants.values()), default=0)
+        return {
+            robot: plant.speed
+            for robot, plant in self._plants.items()
+            if plant.healthy and newest_ns - plant.time_ns <= PLANT_SILENT_NS
+        }
 
     def stood(self) -> None:
         """This process has stood: by what waited for it since the last picture nobody is heard."""
@@ -264,28 +324,42 @@ def at_once(hands: Mapping[int, HandState]) -> dict[int, HandState]:
     return found
 
 
-def closest(hands: Iterable[tuple[HandState, bool]]) -> tuple[float, int, int] | None:
+def nearest_of_each(hands: Mapping[int, HandState], silent: Container[int]) -> dict[int, tuple[float, int]]:
+    """By robot, the distance (m) of its hand to the nearest other one, and whose that is.
+
+    Args:
+        silent: robots that are not heard: two of them are not near each other, as far as is known.
+    """
+    ids = sorted(hands)
+    if len(ids) < 2:
+        return {}
+    x, y = np.array([(hands[robot].x, hands[robot].y) for robot in ids]).T
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    is_silent = np.array([robot in silent for robot in ids])
+    apart[is_silent[:, None] & is_silent] = inf
+    np.fill_diagonal(apart, inf)
+    others = apart.argmin(axis=1).tolist()
+    least = apart.min(axis=1).tolist()
+    return {
+        robot: (distance, ids[other])
+        for robot, other, distance in zip(ids, others, least, strict=True)
+        if distance < inf
+    }
+
+
+def closest(nearest: Mapping[int, tuple[float, int]]) -> tuple[float, int, int] | None:
     """Distance (m) of the two hands nearest to each other, and the two robots; None without two.
 
     Args:
-        hands: with each whether its robot is silent: two that are do not count.
+        nearest: of each robot (`nearest_of_each`).
     """
-    found: tuple[float, int, int] | None = None
-    least_m = inf
-    near: list[tuple[HandState, bool]] = []
-    # All pairs of a large fleet would take too long.
-    for here, is_silent in sorted(hands, key=lambda each: each[0].x):
-        near = [each for each in near if here.x - each[0].x < least_m]
-        for there, is_other_silent in near:
-            distance_m = hypot(here.x - there.x, here.y - there.y)
-            if distance_m < least_m and not (is_silent and is_other_silent):
-                least_m = distance_m
-                found = distance_m, min(here.robot, there.robot), max(here.robot, there.robot)
-        near.append((here, is_silent))
-    return found
+    if not nearest:
+        return None
+    robot, (distance_m, other) = min(nearest.items(), key=lambda item: item[1][0])
+    return distance_m, min(robot, other), max(robot, other)
 
 
-S = TypeVar("S", HandState, Status)
+S = TypeVar("S", HandState, PlantState, Status)
 
 
 def _keep_newest(known: dict[int, S], message: S) -> bool:

@@ -116,9 +116,6 @@ class Terminal(TerminalView):
     """A table of hosts, which stays as it was at the end; of many hosts those that failed, and as many as
     there is room for of those that are worked on."""
 
-    def __init__(self, stream: TextIO) -> None:
-        super().__init__(stream, transient=False)
-
     def show(self, rows: Sequence[Row]) -> None:
         table = Table(expand=True, pad_edge=False, box=None)
         for name in HEADING:

@@ -12,6 +12,8 @@ TROUBLED: Final = "troubled"
 FAILED: Final = "failed"
 RESTS: Final = "rests"
 UNREADY: Final = "unready"
+SILENT: Final = "silent"
+"""Instead of its state, where a robot is not heard any more."""
 
 LOOKS: Final[Mapping[str, str]] = {
     State.RUNNING.value: DRIVES,
@@ -24,6 +26,7 @@ LOOKS: Final[Mapping[str, str]] = {
     State.WAITING.value: UNREADY,
     State.READY.value: UNREADY,
     State.STANDBY.value: UNREADY,
+    SILENT: TROUBLED,
     "": UNREADY,
 }
 """By the state's name, "" where a robot has said none."""

@@ -10,7 +10,10 @@ from typing import Any, Final
 
 from deploy.console.data_files import PAGE
 
-MODULES: Final = ("main.js", "plan.js", "panels.js", "curves.js", "timeline.js", "recorded.js")
+PLAYER: Final = ("main.js", "player.js", "plan.js", "panels.js", "curves.js", "timeline.js", "recorded.js")
+"""What plays a recording."""
+MODULES: Final = (*PLAYER, "live.js", "controls.js", "reshape.js")
+"""All of the page's scripts."""
 STYLE: Final = "style.css"
 _BESIDE: Final = {f"handfast/{name}": f"./{name}" for name in MODULES}
 _INDEX: Final = "index.html"
@@ -23,9 +26,11 @@ def asset(name: str) -> bytes | None:
     return (PAGE / name).read_bytes() if name in (*MODULES, STYLE) else None
 
 
-def served() -> bytes:
-    """The page as a server gives it, which gives its files beside it."""
-    script = f'{_import_map(_BESIDE)}<script type="module" src="./main.js"></script>'
+def served(what: str) -> bytes:
+    """The page as a server gives it, with its files beside it; it shows `what`, "live" or "recorded"."""
+    script = (
+        f'{_import_map(_BESIDE)}<script type="module" src="./main.js" id="main" data-shows="{what}"></script>'
+    )
     return _page(f'<link rel="stylesheet" href="./{STYLE}">', script).encode()
 
 

@@ -1,4 +1,5 @@
-"""What of a run does not move: its fleet, its ground, its edges, the states of its robots, its verdict."""
+"""What a page is told of a run besides its motion: its fleet, ground and edges, the states of its robots,
+what happened, the verdict."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from typing import Any, Final
 
 from agent.control.boundaries import Circle, fence_of, obstacles_of
 from agent.fleet.loading import law_name
+from agent.fleet.model import Fleet
 from deploy.analysis.stability import SETTLED
 from deploy.playback.looks import LOOKS
 from deploy.playback.marks import marks
@@ -17,27 +19,21 @@ FORMAT: Final = 1
 """Of what a page is given; one that finds another says so."""
 
 
-def scene(result: RunResult, track: Track) -> dict[str, Any]:
-    """The scene as JSON values, with which a page can read the `track`.
+def ground(fleet: Fleet) -> dict[str, Any]:
+    """What is known of a fleet before it drives, as JSON values.
 
-    Lengths in m (W), times in s of fleet time. `states`: of each robot [t, state, why], one after the other;
-    `looks`: of each state one of those of `deploy.playback.looks`; `edges`: pairs of places in `robots`;
-    `settled`: the share of its distance by which an edge may be off.
+    Lengths in m (W). `looks`: of each state one of those of `deploy.playback.looks`; `settled`: the share of
+    its distance by which an edge may be off; `columns`: of a row of its motion, of each robot.
     """
-    recording, analysis, fleet = result.recording, result.analysis, result.fleet
     fence = fence_of(fleet)
     return {
         "format": FORMAT,
         "fleet": fleet.fleet.name,
-        "mode": recording.mode,
         "law": law_name(fleet.control),
-        "epoch_ns": None if recording.epoch_ns is None else str(recording.epoch_ns),
-        "end_s": float(analysis.grid[-1]),
-        "safe_m": analysis.safe_m,
+        "safe_m": fleet.formation.safe_distance_m,
         "settled": SETTLED,
         "looks": dict(LOOKS),
         "robots": [{"id": each.id, "hand_m": each.hand_offset_m} for each in fleet.robots],
-        "edges": analysis.edges.tolist(),
         "obstacles": [
             {"name": each.name, "x": each.x, "y": each.y, "radius": each.radius}
             if isinstance(each, Circle)
@@ -45,6 +41,22 @@ def scene(result: RunResult, track: Track) -> dict[str, Any]:
             for each in obstacles_of(fleet)
         ],
         "fence": None if fence is None else fence.points,
+        "columns": list(COLUMNS),
+    }
+
+
+def scene(result: RunResult, track: Track) -> dict[str, Any]:
+    """The scene of a run as JSON values, with which a page can read the `track`: its `ground`, and more.
+
+    Times in s of fleet time. `states`: of each robot [t, state, why], one after the other; `edges`: pairs of
+    places in `robots`.
+    """
+    recording, analysis, fleet = result.recording, result.analysis, result.fleet
+    return {
+        **ground(fleet),
+        "mode": recording.mode,
+        "end_s": float(analysis.grid[-1]),
+        "edges": analysis.edges.tolist(),
         "states": [
             [[round(change.t_s, 3), change.state, change.reason] for change in data.status.changes()]
             for data in recording.robots.values()
@@ -57,7 +69,6 @@ def scene(result: RunResult, track: Track) -> dict[str, Any]:
             "warnings": list(result.warnings),
         },
         "track": {
-            "columns": list(COLUMNS),
             "width": track.width,
             "rate_hz": float(fleet.fleet.rate_hz),
             "rows": track.rows,

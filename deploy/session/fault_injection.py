@@ -88,14 +88,20 @@ class Putting:
         end_s = max(map(end_of, rules))
         self._end_ns = None if isinf(end_s) else self._message.origin_ns + round(end_s * NS_PER_S)
         more = len(rules) - RULES_SHOWN
-        self._what = "; ".join(map(words, rules[:RULES_SHOWN])) + (f"; and {more} more" if more > 0 else "")
+        self.what: Final = "; ".join(map(words, rules[:RULES_SHOWN])) + (
+            f"; and {more} more" if more > 0 else ""
+        )
         self._line = Line(stream)
+        self._send_ns = self._show_ns = 0
+        self._give_up_ns = now_ns + round(TAKE_S * NS_PER_S)
         self._gone_ns: dict[Receiver, int] = {}
         self.took: set[Receiver] = set()
         self.cleared = self.early = False
 
     def run(self) -> None:
-        self._hold()
+        """Keeps the rules in force until they end, and heals."""
+        while not self._interrupted() and not self.step():
+            self._session.pause()
         self.early = self._interrupted() and (self._stay or self._end_ns is not None)
         if not self._stay and not self.cleared:
             self._heal()
@@ -106,26 +112,21 @@ class Putting:
         """Receivers that have not said that they hold the rules."""
         return [each for each in self._session.receivers if each not in self.took]
 
-    def _hold(self) -> None:
-        """Sends the rules again and again until they end."""
-        session = self._session
-        send_ns = show_ns = 0
-        give_up_ns = session.now_ns() + round(TAKE_S * NS_PER_S)
-        while not self._interrupted() and not self.cleared:
-            now_ns = session.now_ns()
-            if now_ns >= send_ns:
-                send_ns = now_ns + SEND_PERIOD_NS
-                self._message = self._message._replace(time_ns=now_ns)
-                session.send(self._message)
-            session.collect()
-            self._look(now_ns)
-            if now_ns >= show_ns:
-                show_ns = now_ns + SHOW_PERIOD_NS
-                self._show(now_ns)
-            over = self._stay or (self._end_ns is not None and now_ns >= self._end_ns + AFTER_END_NS)
-            if over and (not self.missing or now_ns >= give_up_ns):
-                return
-            session.pause()
+    def step(self) -> bool:
+        """Sends the rules again where that is due, and looks who holds them; True when they are over, or all
+        have them that are to keep them."""
+        now_ns = self._session.now_ns()
+        if now_ns >= self._send_ns:
+            self._send_ns = now_ns + SEND_PERIOD_NS
+            self._message = self._message._replace(time_ns=now_ns)
+            self._session.send(self._message)
+        self._session.collect()
+        self._look(now_ns)
+        if now_ns >= self._show_ns:
+            self._show_ns = now_ns + SHOW_PERIOD_NS
+            self._show(now_ns)
+        over = self._stay or (self._end_ns is not None and now_ns >= self._end_ns + AFTER_END_NS)
+        return self.cleared or (over and (not self.missing or now_ns >= self._give_up_ns))
 
     def _look(self, now_ns: int) -> None:
         """Notes who holds the rules, and whether another operator has ended them."""
@@ -150,19 +151,23 @@ class Putting:
             left = f"; {max(0.0, (self._end_ns - now_ns) / NS_PER_S):.1f} s left"
         elif not self._stay:
             left = "; until Ctrl-C"
-        self._line.show(f"{self._what}; {held}{left}", held)
+        self._line.show(f"{self.what}; {held}{left}", held)
+
+    def take_back(self) -> None:
+        """Takes the rules back."""
+        session = self._session
+        session.send(self._message._replace(version=session.version(), time_ns=session.now_ns(), rules=""))
+
+    @property
+    def holders(self) -> list[Receiver]:
+        """Those that had the rules, and have not said yet that they hold them no more."""
+        return holders(self._session, {receiver: [self._message] for receiver in self.took})
 
     def _heal(self) -> None:
         """Takes the rules back, and waits until all who had them say so."""
-        session, message = self._session, self._message
-        healing = message._replace(version=session.version(), time_ns=session.now_ns(), rules="")
-        session.send(healing)
-
-        def healed() -> bool:
-            return not holders(session, {receiver: [message] for receiver in self.took})
-
-        if not session.wait(healed, ECHO_S):
-            left = names(holders(session, {receiver: [message] for receiver in self.took}))
+        self.take_back()
+        if not self._session.wait(lambda: not self.holders, ECHO_S):
+            left = names(self.holders)
             self._line.end()
             lease_s = LEASE_NS / NS_PER_S
             self._line.show(f"not heard to be healed: {left}; there the lease ends in {lease_s:.0f} s", "")

@@ -96,7 +96,7 @@ class StopSession(Session):
         return has_paused and len(self.alive) > self._sent_to
 
 
-class _OtherWays:
+class OtherWays:
     """All ways besides new links."""
 
     def __init__(self, ways: Sequence[Way], stopping: Stopping) -> None:
@@ -141,7 +141,7 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
     with ExitStack() as stack:
         for way in ways:
             stack.callback(way.close)
-        others = _OtherWays(ways, stopping)
+        others = OtherWays(ways, stopping)
         others.send()
         own = OwnOrders(fleet)
         stopping.outdo(
@@ -174,7 +174,7 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
     return stopping, [*troubles, *_said(ways)]
 
 
-def _follow(stopping: Stopping, session: StopSession | None, others: _OtherWays, begun: float) -> None:
+def _follow(stopping: Stopping, session: StopSession | None, others: OtherWays, begun: float) -> None:
     """Sends the stop again, and takes what comes back, until all brake or nothing more may come.
 
     Args:

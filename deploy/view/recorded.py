@@ -6,14 +6,13 @@ import json
 from collections.abc import Callable
 from typing import Final
 
-from deploy.playback.page import asset, served
 from deploy.playback.scene import scene
 from deploy.playback.track import Track
 from deploy.verdict.run_result import RunResult
+from deploy.view.files import page_files
 from deploy.view.server import Content
 
 _PIECE: Final = "piece/"
-_KINDS: Final = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8"}
 _ROWS: Final = "application/octet-stream"
 
 
@@ -29,22 +28,17 @@ def answers(result: RunResult) -> Callable[[str], Content | None]:
         json.dumps(scene(result, track), allow_nan=False).encode(), "application/json; charset=utf-8"
     )
     overview = Content(track.overview(), _ROWS)
-    page = Content(served(), "text/html; charset=utf-8")
+    files = page_files("recorded")
 
     def answer(path: str) -> Content | None:
-        if path == "":
-            return page
         if path == "scene":
             return description
         if path == "overview":
             return overview
-        if path.startswith(_PIECE):
-            number = path.removeprefix(_PIECE)
-            is_there = number.isascii() and number.isdecimal() and len(number) < 10
-            return (
-                Content(track.piece(int(number)), _ROWS) if is_there and int(number) < track.pieces else None
-            )
-        found = asset(path)
-        return None if found is None else Content(found, _KINDS[path.rpartition(".")[2]])
+        if not path.startswith(_PIECE):
+            return files(path)
+        number = path.removeprefix(_PIECE)
+        is_there = number.isascii() and number.isdecimal() and len(number) < 10
+        return Content(track.piece(int(number)), _ROWS) if is_there and int(number) < track.pieces else None
 
     return answer

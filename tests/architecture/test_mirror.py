@@ -26,7 +26,6 @@ BY_OTHERS: Final = {
         deploy/commands/local/film
         deploy/commands/local/new
         deploy/commands/local/preflight
-        deploy/commands/local/report
         deploy/commands/local/rover_simulator
         deploy/commands/local/run
         deploy/commands/local/simulate
@@ -52,7 +51,6 @@ BY_OTHERS: Final = {
         agent/common/exit
         deploy/drive/fleet_state
         deploy/drive/local
-        deploy/drive/preflight
         deploy/drive/standstill
         deploy/faults/live
         deploy/faults/live_rules
@@ -136,22 +134,18 @@ BY_OTHERS: Final = {
         deploy/faults/wording
         deploy/orders/blend_time
         deploy/recording/collector
-        deploy/recording/foxglove
         deploy/recording/link_table
         deploy/recording/links
         deploy/recording/mcap_reader
         deploy/recording/message_json
         deploy/recording/run_files
         deploy/recording/tables
-        deploy/report/distance_figure
         deploy/report/fault_strip
-        deploy/report/figures
         deploy/report/force_figure
         deploy/report/html
         deploy/report/link_figure
         deploy/report/oracle_section
         deploy/report/timing_figure
-        deploy/report/trajectory_figure
         deploy/sweep/figures
         deploy/sweep/summary
         plant/backend

@@ -40,6 +40,7 @@ NAMES: Final = (
     "rovers",
     "bridge",
     "recording",
+    "view",
     "hosts",
     "admission",
     "stop_under_flood",

@@ -77,7 +77,7 @@ def test_a_robot_starts_again_and_is_stopped_in_a_flood(fleet: FleetOnHosts, str
         os.kill(before, signal.SIGKILL)
         fleet.started_again(6, "agent", before)
         wait_for(lambda: fleet.status()[6, "agent"]["state"] == "ready", "it has found all others")
-        assert "robot 6: stop" in fleet.handfast("stop").stdout
+        assert "robot 6: stop" in fleet.handfast("stop", "--each").stdout
     fleet.handfast("resume")
 
 

@@ -83,7 +83,7 @@ def test_a_second_operator_is_given_a_certificate(fleet: Operated) -> None:
     assert not (fleet.keys / "authority.pem").exists()
     assert "nothing to do" in fleet.handfast("up", timeout=UP_TIMEOUT_S).stderr
     drives(fleet)
-    assert "robot 2: stop" in fleet.handfast("stop").stdout
+    assert "robot 2: stop" in fleet.handfast("stop", "--each").stdout
     told = fleet.handfast("keys", status=2).stderr
     assert "has certificates of the authority" in told
     assert "which is not here" in told
@@ -125,7 +125,7 @@ def test_half_replaced_it_drives_and_stops_and_up_goes_on(fleet: Operated) -> No
     assert len(earlier_folders(fleet.keys)) == 1
     fleet.handfast("resume", status=None)
     wait_for(lambda: {None, "stopped"}.isdisjoint(states(fleet).values()), "no robot is stopped", 30.0)
-    told = fleet.handfast("stop").stdout
+    told = fleet.handfast("stop", "--each").stdout
     assert told.count(": stop") == 2, told
     assert set(states(fleet).values()) == {"stopped"}
     # And `up` goes on from where it was.

@@ -97,7 +97,8 @@ def test_who_cannot_renew_a_certificate_tries_the_links_with_it(fleet: Operated,
     with closed(hosts, SSH):
         done = fleet.of(ANNA, ANNA, -2 * HOUR_S).handfast("stop", "--reason", "no ssh")
         stopped(fleet, "no ssh")
-    assert done.stdout.count("over a new link") == 2
+    assert "2 of 2 robots brake" in done.stdout
+    assert "(2 over a new link)" in done.stdout
     assert "anna is not valid yet: is this machine's clock right?" in done.stderr
 
 
@@ -136,7 +137,7 @@ def test_of_a_fleet_that_is_down_it_says_so_at_once_and_holds_when_it_comes_up(
     fleet.of(ANNA, ANNA, HOUR_S).handfast("stop", "--reason", "the run is over")
     fleet.handfast("down")
     began_s = time.monotonic()
-    told = fleet.of("main", "main").handfast("stop", "--reason", "a hole", status=1).stdout
+    told = fleet.of("main", "main").handfast("stop", "--each", "--reason", "a hole", status=1).stdout
     assert time.monotonic() - began_s < SOON_S
     assert told.count("is down; it finds the stop when it comes up (over ssh to host") == 2, told
     told = fleet.of(ANNA, ANNA).handfast("up", timeout=UP_TIMEOUT_S).stdout

@@ -128,7 +128,7 @@ def test_it_is_known_by_its_name(fleet: FleetOnHosts) -> None:
     assert "host2: robot 2 agent: stopped: stop: the fleet came up" in fleet.by_name(
         "logs", "delta", "--robot", "2"
     )
-    told = fleet.by_name("stop", "--all", "--reason", "all of them")
+    told = fleet.by_name("stop", "--all", "--each", "--reason", "all of them")
     assert told.startswith("delta (on host1, host2, host3, since ")
     assert told.count("its plant brakes") == 6
     fleet.by_name("resume", "delta")

@@ -77,7 +77,7 @@ def test_each_failure_is_one_clear_line_and_the_others_run(hosts: Hosts, cache: 
     assert len(re.findall(r" active ", told)) == 3 * GOOD, told
     assert "host9: it does not let you in" in told
     assert "nobody: it " in told
-    stopped = fleet.handfast("stop", status=1).stdout  # not all are there, but those that are stop
+    stopped = fleet.handfast("stop", "--each", status=1).stdout  # not all are there, but those that are stop
     assert "robot 1: stopped" in stopped or "robot 1: stopping" in stopped
     down = fleet.handfast("down", status=1)
     assert down.stderr.count("down, 6 units") + down.stderr.count("down, 3 units") == GOOD

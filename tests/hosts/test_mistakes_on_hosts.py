@@ -53,7 +53,7 @@ def test_a_resume_of_a_clock_that_is_ahead_outlives_no_stop(fleet: Operated, ahe
     fleet.handfast("resume", status=None)
     wait_for(lambda: set(states(fleet).values()) == {"running"}, "all drive again", 30.0)
     reason = f"main's, {ahead_s:.0f} s behind"
-    told = fleet.of("main", "main").handfast("stop", "--reason", reason).stdout
+    told = fleet.of("main", "main").handfast("stop", "--each", "--reason", reason).stdout
     assert told.count(": stop") == 2
     stopped(fleet, reason)
     fleet.handfast("down")

@@ -121,7 +121,7 @@ def test_a_stop_needs_no_router_and_up_brings_them_back(fleet: FleetOnHosts) -> 
     wait_for(lambda: all_drive(fleet), "all drive", 20.0)
     for host in list(fleet.hosts)[:2]:
         host.run(f"systemctl --user stop {ROUTER}", check=True)
-    told = fleet.handfast("stop", "--reason", "a person on the field")
+    told = fleet.handfast("stop", "--each", "--reason", "a person on the field")
     assert told.stdout.count("over ssh to host") == len(ROBOTS), told.stdout + told.stderr
     told = fleet.handfast("up")
     assert told.stdout.splitlines()[:2] == ["router 1 on host1: up", "router 2 on host2: up"]

@@ -74,7 +74,7 @@ def test_a_stop_gets_through_a_flood_that_lets_no_link_open(fleet: FleetOnHosts,
     drive(fleet)
     with flood(stranger, fleet, FLOOD_PER_S):
         begun = time.monotonic()
-        told = fleet.handfast("stop", "--reason", "a person on the field")
+        told = fleet.handfast("stop", "--each", "--reason", "a person on the field")
         measured("stop under a flood, to the end of the command, s", time.monotonic() - begun)
         assert told.stdout.count("over ssh to host") == len(ROBOTS), told.stdout + told.stderr
         assert set(states(fleet).values()) == {"stopped: stop: a person on the field"}
@@ -85,7 +85,7 @@ def test_it_holds_through_down_and_up_though_a_host_was_out_of_reach(fleet: Flee
     drive(fleet)
     away = fleet.hosts[2]
     away.cut()
-    told = fleet.handfast("stop", "--reason", "a person on the field", status=1)
+    told = fleet.handfast("stop", "--each", "--reason", "a person on the field", status=1)
     assert "nothing heard from its agent" in told.stdout
     fleet.handfast("down", status=1)
     away.restore()

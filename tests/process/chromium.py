@@ -15,17 +15,26 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = [
     "--no-sandbox",
     "--disable-dev-shm-usage",
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE 127.0.0.2",
 ]
 """CI is root, which has no sandbox. No name is looked up: a page that asked for one would be seen."""
 
 
 @contextmanager
 def opened(
-    screenshots: Path, width: int = 1400, height: int = 850, scheme: str = "light", may_say: str = "\0"
+    screenshots: Path,
+    width: int = 1400,
+    height: int = 850,
+    scheme: str = "light",
+    may_say: str = "\0",
+    *,
+    strange: bool = False,
 ) -> Iterator[Page]:
     """A page of a browser; errors of its scripts, but those that contain `may_say`, and requests to others,
     fail the test.
+
+    Args:
+        strange: goes on where it does not know who has signed a server's certificate.
 
     When the test fails, what the page showed is left in `screenshots`.
     """
@@ -34,7 +43,11 @@ def opened(
         pytest.skip(f"no browser: {', '.join(NAMES)} (Debian: apt install chromium)")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
-        page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)  # type: ignore[arg-type]
+        page = browser.new_page(
+            viewport={"width": width, "height": height},
+            color_scheme=scheme,  # type: ignore[arg-type]
+            ignore_https_errors=strange,
+        )
         trouble: list[str] = []
         asked: list[str] = []
         page.on("pageerror", lambda error: trouble.append(str(error)))
@@ -43,7 +56,7 @@ def opened(
         try:
             yield page
             assert not [text for text in trouble if may_say not in text]
-            outside = ("http://127.0.0.1:", "data:", "file:", "about:")
+            outside = ("http://127.0.0.1:", "https://127.0.0.2:", "data:", "file:", "about:")
             assert not [address for address in asked if not address.startswith(outside)]
         except BaseException:
             screenshots.mkdir(parents=True, exist_ok=True)

@@ -96,7 +96,7 @@ def test_two_of_one_name_from_a_third_terminal(terminals: Terminals) -> None:
     assert states(terminals.told("status", first, "--json")) == drives | bodies
     with terminals.command("logs", first, "--follow", "--robot", "2") as follower:
         wait_for(lambda: "robot 2 agent: running" in follower.out, "the log so far", report=follower.told)
-        told = terminals.told("stop", first)
+        told = terminals.told("stop", first, "--each")
         assert re.fullmatch(
             r"(robot \d: stop\w+ after \d+ ms, its plant brakes after \d+ ms \([^)]*\)\n){2}", told
         )
@@ -105,7 +105,7 @@ def test_two_of_one_name_from_a_third_terminal(terminals: Terminals) -> None:
         assert not re.search(r"(?m)^(\S+ \S+ )?robot 1 ", follower.out)
         assert states(terminals.told("status", second, "--json")) == drives | bodies, "the other drives on"
 
-        told = terminals.told("stop", terminals.name, "--all", "--reason", "lunch")
+        told = terminals.told("stop", terminals.name, "--all", "--each", "--reason", "lunch")
         assert told.count(f"{terminals.name} (") == 2
         assert len(re.findall(r"  robot \d: stop\w+ after \d+ ms, its plant brakes", told)) == 4
         for number, pid in enumerate((first, second)):
@@ -135,7 +135,7 @@ def test_a_killed_run_is_not_listed_and_a_frozen_one_is_said_to_be(terminals: Te
     (row,) = terminals.listed()
     assert row["processes"] == [frozen.process.pid]
     # Its robots drive on by themselves, and are stopped all the same.
-    assert "its plant brakes" in terminals.told("stop", terminals.name)
+    assert "2 of 2 robots brake" in terminals.told("stop", terminals.name)
     assert f"PAUSED: `fg` there or `kill -CONT {frozen.process.pid}`" in terminals.told(
         "status", terminals.name
     )

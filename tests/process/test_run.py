@@ -33,6 +33,7 @@ from tests.process.harness import (
     skipped,
     wait_for,
 )
+from tests.screen import screen_lines
 
 pytestmark = pytest.mark.alone
 
@@ -482,7 +483,7 @@ def test_live_view_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                 )
 
             seen("starting 2 agents and 2 plants")
-            seen("worst edge m")
+            seen("off m.*nearest m.*m/s.*why.*worst edge m")
             seen(rf"driving.* 1\.\d of 60 s(?s:.*){State.RUNNING.value}")
             pids = [*command.children()]
             assert len(pids) == 4
@@ -495,6 +496,9 @@ def test_live_view_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert text.rfind("\x1b[?25h") > text.rfind("\x1b[?25l"), "the cursor stays hidden"
         assert "\x1b[?1049h" not in text, "the alternate screen would take the verdict with it"
         assert "FAILED" in text[text.rfind("\x1b[?25h") :]
+        shown = screen_lines(text, 120)
+        starts = [line.split()[0] for line in shown[: shown.index("FAILED")]]
+        assert starts == ["starting", "all", "SIGINT:", "drove", "worst", "robot", "1", "2"], shown
         assert termios.tcgetattr(screen.tty) == before
         assert "Traceback" not in text
     finally:

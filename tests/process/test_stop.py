@@ -31,7 +31,7 @@ def moves(fleet: Robots, *ids: int) -> None:
 def stop(fleet: Robots) -> tuple[int, int, str]:
     """`handfast stop`; returns its status, when a plant drove last (wall-clock ns), and what it printed."""
     begun_ns = time.time_ns()
-    status, out = fleet.told_by("stop", "--reason", REASON)
+    status, out = fleet.told_by("stop", "--each", "--reason", REASON)
     for robot in fleet.fleet.ids:
         fleet.first(begun_ns, PlantState, robot, lambda m: not m.driving, f"robot {robot}'s plant brakes")
     drove = [

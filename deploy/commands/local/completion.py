@@ -61,6 +61,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
         "FLEET": _one_of("fleet", bundled(FLEETS)),
         "SCENARIO": _one_of("scenario", bundled(SCENARIOS)),
         "RUN": shtab.DIRECTORY,
+        "RUN|FLEET": _one_of("fleet", bundled(FLEETS)),
         "DIR": shtab.DIRECTORY,
         "FILE": shtab.FILE,
         "PATH": shtab.FILE,

@@ -19,6 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     fleet_arguments(parser)
     parser.add_argument("--json", action="store_true", help="as JSON, for other programs")
+    parser.add_argument(
+        "--each", action="store_true", help="all that was found of each vehicle, also of several"
+    )
     parser.set_defaults(command=_preflight)
 
 
@@ -43,5 +46,5 @@ def _preflight(options: argparse.Namespace) -> int:
     if options.json:
         print(to_json(fleet.fleet.name, found))
     else:
-        show(found, sys.stdout)
+        show(found, sys.stdout, each=options.each)
     return PASSED if passed(found) else FAILED

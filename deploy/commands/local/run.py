@@ -8,7 +8,14 @@ from contextlib import suppress
 
 from agent.common.exit import FAILED
 from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError, drive_arguments, fleet_arguments, fleet_path, load
+from deploy.console.arguments import (
+    InputError,
+    drive_arguments,
+    fleet_arguments,
+    fleet_path,
+    load,
+    view_argument,
+)
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 
@@ -17,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast run`` takes."""
     fleet_arguments(parser)
     drive_arguments(parser)
+    view_argument(parser)
     parser.set_defaults(command=_run)
 
 
@@ -26,6 +34,7 @@ def _run(options: argparse.Namespace) -> int:
     from deploy.drive.local import LocalRun
     from deploy.processes.placement import place
     from deploy.recording.recorder import RecordingError
+    from deploy.view.beside import PageBeside
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -37,17 +46,21 @@ def _run(options: argparse.Namespace) -> int:
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
         run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet), options.server)
-        try:
-            with view:
-                run.run()
-        except (BusError, RecordingError, OSError) as error:
-            print(f"handfast: {error}", file=sys.stderr)
-            with suppress(RecordingError):
-                folder.close([str(error)])
-            return FAILED
-        finally:
-            ports.close()
-        return finish(options, folder, run.reasons, interrupt)
+        with PageBeside(folder.path, interrupt, wanted=options.view) as page:
+            try:
+                with view:
+                    run.run()
+            except (BusError, RecordingError, OSError) as error:
+                print(f"handfast: {error}", file=sys.stderr)
+                with suppress(RecordingError):
+                    folder.close([str(error)])
+                return FAILED
+            finally:
+                ports.close()
+            page.over()
+            status = finish(options, folder, run.reasons, interrupt)
+            page.recorded()
+            return status
 
 
 def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:

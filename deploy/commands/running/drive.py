@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError, describe, fleet_path, place_for
+from deploy.console.arguments import (
+    InputError,
+    describe,
+    fleet_path,
+    place_for,
+    report_arguments,
+    view_argument,
+)
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 from deploy.inventory.running import handled
 
@@ -22,6 +29,7 @@ if TYPE_CHECKING:
     from deploy.console.interrupt import Interrupt
     from deploy.inventory.registry import Registration
     from deploy.report.run_folder import RunFolder
+    from deploy.view.beside import PageBeside
 
 ROBOTS_FILE: Final = "robots.toml"
 """The fleet as its robots read it, for commands such as `handfast stop`. The folder's ``fleet.toml`` is what
@@ -59,11 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="the drive's folder (default: runs/FLEET-TIME); must be empty or new",
     )
-    parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
+    report_arguments(parser)
     parser.add_argument(
         "--no-check", dest="check", action="store_false", help="drive even where `check` finds errors"
     )
     parser.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
+    view_argument(parser)
     for option in _FIXED:
         parser.add_argument(option, dest="fixed", action=_Fixed, help=argparse.SUPPRESS)
     parser.set_defaults(command=handled(_drive))
@@ -98,7 +107,10 @@ def _drive(options: argparse.Namespace) -> int:
         if options.detach:
             return _detach(options, fleet, driven, interrupt)
         folder = run_folder(options, driven, "run")
-        return _attend(options, fleet, driven, folder, interrupt)
+        from deploy.view.beside import PageBeside
+
+        with PageBeside(folder.path, interrupt, wanted=options.view) as page:
+            return _attend(options, fleet, driven, folder, interrupt, page)
 
 
 def _warn_of_certificates(options: argparse.Namespace, fleet: Fleet) -> None:
@@ -145,6 +157,8 @@ def _refuse_what_cannot_be(options: argparse.Namespace, driven: Fleet) -> None:
         return
     if options.out is not None:
         raise InputError("--out: there is no folder with --detach: nobody records")
+    if options.view:
+        raise InputError("--view: this ends at once with --detach; `handfast view` shows the fleet then")
     if driven.supervision.deadman_s is not None:
         raise InputError(
             f"--detach: {driven.fleet.name} has a dead-man's switch (supervision.deadman_s = "
@@ -156,7 +170,12 @@ def _refuse_what_cannot_be(options: argparse.Namespace, driven: Fleet) -> None:
 
 
 def _attend(
-    options: argparse.Namespace, fleet: Fleet, driven: Fleet, folder: RunFolder, interrupt: Interrupt
+    options: argparse.Namespace,
+    fleet: Fleet,
+    driven: Fleet,
+    folder: RunFolder,
+    interrupt: Interrupt,
+    page: PageBeside,
 ) -> int:
     """Drives it to the end, and reports."""
     from agent.transport.bus import BusError
@@ -188,7 +207,10 @@ def _attend(
             raise
         print(f"handfast: {error}", file=sys.stderr)
         return FAILED
-    return finish(options, folder, drive.reasons, interrupt, warnings=processes.warnings)
+    page.over()
+    status = finish(options, folder, drive.reasons, interrupt, warnings=processes.warnings)
+    page.recorded()
+    return status
 
 
 def _registered(fleet: Fleet, folder: Path) -> Registration:

@@ -12,7 +12,6 @@ from agent.common.exit import FAILED, PASSED
 from agent.common.wording import printable
 from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError, describe
-from deploy.console.wording import FEW
 from deploy.inventory.running import MEANING, NoAnswerError, as_running, handled
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--each",
         action="store_true",
-        help=f"a line for each robot also of more than {FEW}, of which else those that brake are summed up",
+        help="a line for each robot; without it those that brake are summed up",
     )
     parser.add_argument("--reason", default="", metavar="TEXT", help="why, for people")
     parser.set_defaults(command=handled(_stop))
@@ -90,7 +89,7 @@ def _outcome(fleet: Fleet, options: argparse.Namespace) -> tuple[list[str], bool
 
     stopping, troubles = stop(fleet, somebodys(options.reason), ways(fleet))
     said = [] if stopping.done else [printable(trouble) for trouble in troubles]
-    return [*stopping.outcomes(each=options.each or len(fleet.ids) <= FEW), *said], stopping.done
+    return [*stopping.outcomes(each=options.each or len(fleet.ids) == 1), *said], stopping.done
 
 
 def _stop_all(fleets: list[KnownFleet], options: argparse.Namespace) -> int:

@@ -22,20 +22,20 @@ export function curvesOf(scene) {
     { title: "farthest from its place (m)", lines: [[series.tracking, COLORS.bad, []]], zero: true },
     { title: "longest tick (µs)", lines: [[series.tick, COLORS.constraint, []]], zero: true },
     { title: "oldest message (ms)", lines: [[series.age, COLORS.off, []]], zero: true },
-  ].filter((curve) => curve.lines.some(([values]) => values.some((value) => value !== null)));
+  ].filter((curve) => scene.live || curve.lines.some(([values]) => values.some((value) => value !== null)));
 }
 
 export class Curves {
   constructor(parent, scene, onSeek) {
     this.scene = scene;
-    this.curves = curvesOf(scene).map((curve) => {
+    this.curves = curvesOf(scene).map((curve, number) => {
       const canvas = document.createElement("canvas");
       canvas.setAttribute("aria-label", curve.title);
       canvas.addEventListener("click", (event) => {
         onSeek(((event.offsetX - LEFT) / (canvas.clientWidth - 2 * LEFT)) * scene.end_s);
       });
       parent.append(canvas);
-      return { ...curve, canvas, ...range(curve) };
+      return { ...curve, number, canvas, ...range(curve) };
     });
   }
 
@@ -45,9 +45,15 @@ export class Curves {
 
   drawOne(curve, t) {
     const { canvas } = curve;
-    const key = `${canvas.clientWidth} ${window.devicePixelRatio} ${matchMedia("(prefers-color-scheme: dark)").matches}`;
+    const { end_s, live, series } = this.scene;
+    const isDark = matchMedia("(prefers-color-scheme: dark)").matches;
+    const key = [canvas.clientWidth, window.devicePixelRatio, isDark, series.version, end_s].join(" ");
     if (curve.key !== key) {
       curve.key = key;
+      if (live) {
+        curve.lines = curvesOf(this.scene)[curve.number].lines; // they have grown
+        Object.assign(curve, range(curve));
+      }
       curve.picture = this.picture(curve);
     }
     const c = canvas.getContext("2d");
@@ -146,6 +152,8 @@ function range({ lines, limit, zero }) {
     low = Math.min(low, limit);
     high = Math.max(high, limit);
   }
+  if (!Number.isFinite(low)) low = 0;
+  if (!Number.isFinite(high)) high = low + 1; // nothing is known yet
   const room = (high - low || 1) * 0.05;
   return { low: zero ? low : low - room, high: high + room };
 }

@@ -1,15 +1,8 @@
-// The page of a recording: what it is given, its clock, its keys.
-import { Curves } from "handfast/curves.js";
-import { Events, Robots } from "handfast/panels.js";
-import { Plan } from "handfast/plan.js";
+// The page: what it shows, a recording or a running fleet.
+import { Player } from "handfast/player.js";
 import { Recorded } from "handfast/recorded.js";
-import { Timeline } from "handfast/timeline.js";
 
 const FORMAT = 1; // as deploy/playback/scene.py
-const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 20, 50];
-const PANELS_MS = 100; // tables change so often at most
-const dark = matchMedia("(prefers-color-scheme: dark)");
-const find = (id) => document.getElementById(id);
 
 async function fetched(address, kind) {
   const answer = await fetch(address);
@@ -17,182 +10,34 @@ async function fetched(address, kind) {
   return kind === "json" ? answer.json() : new Float32Array(await answer.arrayBuffer());
 }
 
-function problem(text) {
-  find("problem").textContent = text;
-  find("problem").hidden = !text;
+function checked(scene) {
+  if (scene.format !== FORMAT) throw new Error("this page is of another version than what it is given: reload it");
+  return scene;
 }
 
-class Player {
-  constructor(source) {
-    const { scene } = source;
-    Object.assign(this, { source, scene, t: 0, speed: 1, playing: false, toldAt: 0, chosen: null });
-    const seek = (t, mark) => this.seek(t, mark);
-    this.plan = new Plan(find("plan"), source, (index) => this.choose(index));
-    this.robots = new Robots(find("robots"), source, (index) => this.choose(index));
-    this.curves = new Curves(find("charts"), scene, seek);
-    this.events = new Events(find("events"), scene, seek);
-    this.timeline = new Timeline(find("line"), scene, seek);
-    this.about();
-    this.controls();
-    if (window.top !== window) find("link").hidden = true; // within another page it has no address
-    const named = /[#&]t=([0-9.]+)/.exec(location.hash);
-    this.seek(named ? Number(named[1]) : 0);
-    window.addEventListener("hashchange", () => {
-      const moment = /[#&]t=([0-9.]+)/.exec(location.hash);
-      if (moment) this.seek(Number(moment[1]));
-    });
-    requestAnimationFrame((now) => this.step(now));
-  }
+// A recording that is inside the page.
+function inside() {
+  const text = document.getElementById("overview").textContent;
+  const rows = new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+  return new Recorded(checked(JSON.parse(document.getElementById("scene").textContent)), rows, null);
+}
 
-  about() {
-    const { scene } = this;
-    document.title = `${scene.fleet} – handfast`;
-    find("title").textContent = scene.fleet;
-    const how = scene.mode === "simulate" ? "in virtual time" : "recorded";
-    find("about").textContent = `${scene.robots.length} robots, ${scene.law}, ${how}`;
-    const verdict = find("verdict");
-    verdict.textContent = scene.verdict.passed ? "passed" : "failed";
-    verdict.className = scene.verdict.passed ? "passed" : "failed";
-    verdict.title = [...scene.verdict.reasons, ...scene.verdict.warnings].join("\n");
-  }
-
-  controls() {
-    const speed = find("speed");
-    for (const each of SPEEDS) speed.add(new Option(`${each} x`, each, each === 1, each === 1));
-    speed.addEventListener("change", () => (this.speed = Number(speed.value)));
-    const toggle = (name) => {
-      this.plan.show[name] = !this.plan.show[name];
-      find(name).setAttribute("aria-pressed", this.plan.show[name]);
-    };
-    const actions = {
-      play: () => this.play(!this.playing),
-      back: () => this.tick(-1),
-      on: () => this.tick(1),
-      fit: () => this.plan.fit(),
-      follow: () => {
-        this.plan.follow = !this.plan.follow;
-        find("follow").setAttribute("aria-pressed", this.plan.follow);
-      },
-      "zoom-in": () => this.plan.zoom(1.3),
-      "zoom-out": () => this.plan.zoom(1 / 1.3),
-      trails: () => toggle("trails"),
-      places: () => toggle("places"),
-      forces: () => toggle("forces"),
-      link: () => this.link(),
-    };
-    for (const [id, act] of Object.entries(actions)) find(id).addEventListener("click", act);
-    const keys = {
-      " ": "play", ArrowLeft: "back", ArrowRight: "on", f: "fit", o: "follow", "+": "zoom-in", "-": "zoom-out",
-      t: "trails", p: "places", v: "forces", l: "link",
-    };
-    document.addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
-      if (event.key === "Home") this.seek(0);
-      else if (event.key === "End") this.seek(this.source.end);
-      else if (keys[event.key] && !(event.key === " " && event.target.tagName === "BUTTON")) actions[keys[event.key]]();
-      else return;
-      event.preventDefault();
-    });
-  }
-
-  play(playing) {
-    this.playing = playing;
-    if (playing && this.t >= this.source.end) this.seek(0);
-    find("play").textContent = playing ? "pause" : "play";
-  }
-
-  tick(by) {
-    this.play(false);
-    const { rate } = this.source;
-    this.seek((Math.round(this.t * rate) + by) / rate);
-  }
-
-  choose(index) {
-    this.chosen = this.plan.chosen = index === this.chosen ? null : index;
-  }
-
-  legend() {
-    let text = `grid ${Number(this.plan.step.toPrecision(2))} m`;
-    if (this.scene.edges.length) text += "; edges: solid holds, dashed too long, dotted too short";
-    if (this.plan.show.places) text += "; + place";
-    if (this.plan.show.forces) text += "; forces: blue navigation, dashed pink constraint";
-    if (find("scale").textContent !== text) find("scale").textContent = text;
-  }
-
-  link() {
-    try {
-      history.replaceState(null, "", `#t=${this.t.toFixed(3)}`);
-    } catch {
-      return; // within another page there is no address to copy
-    }
-    if (navigator.clipboard) navigator.clipboard.writeText(location.href).catch(() => {});
-    find("link").textContent = "copied";
-    setTimeout(() => (find("link").textContent = "link"), 1200);
-  }
-
-  seek(t, mark) {
-    this.t = Math.min(Math.max(t, 0), this.source.end);
-    if (mark && mark.robots.length) {
-      this.chosen = this.plan.chosen = this.scene.robots.findIndex((robot) => robot.id === mark.robots[0]);
-    }
-    this.toldAt = 0;
-    this.load();
-  }
-
-  load() {
-    this.source.want(this.t).then(
-      () => problem(""),
-      (error) => problem(`The server that gives this recording is gone: what is shown is coarse (${error.message})`),
-    );
-  }
-
-  step(now) {
-    const passed = Math.min((now - (this.last ?? now)) / 1000, 0.25);
-    this.last = now;
-    if (this.playing && !this.timeline.dragging) {
-      const before = Math.floor(this.t);
-      this.t = Math.min(this.t + passed * this.speed, this.source.end);
-      if (Math.floor(this.t) !== before) this.load();
-      if (this.t >= this.source.end) this.play(false);
-    }
-    const frame = this.source.frame(this.t);
-    requestAnimationFrame((next) => this.step(next));
-    // What stands still is not drawn again: a page that nobody plays costs its computer nothing.
-    const { clientWidth, clientHeight } = this.plan.canvas;
-    const look = JSON.stringify([
-      this.t, frame.exact, this.chosen, this.plan.look(), dark.matches,
-      clientWidth, clientHeight, window.devicePixelRatio,
-    ]);
-    if (look !== this.drawn) {
-      this.drawn = look;
-      this.plan.draw(frame);
-      this.timeline.draw(this.t);
-      find("time").textContent = `${this.t.toFixed(2)} of ${this.scene.end_s.toFixed(1)} s`;
-      this.legend();
-      document.body.dataset.exact = frame.exact;
-    }
-    if (look !== this.told && now - this.toldAt >= PANELS_MS) {
-      this.told = look;
-      this.toldAt = now;
-      this.robots.show(frame, this.chosen);
-      this.events.show(this.t);
-      this.curves.draw(this.t);
-    }
-  }
+async function recorded() {
+  const scene = checked(await fetched("scene", "json"));
+  return new Recorded(scene, await fetched("overview", "rows"), (number) => fetched(`piece/${number}`, "rows"));
 }
 
 async function begin() {
+  const shows = document.getElementById("main")?.dataset.shows;
   try {
-    const inside = find("scene");
-    const scene = inside ? JSON.parse(inside.textContent) : await fetched("scene", "json");
-    if (scene.format !== FORMAT) throw new Error("this page is of another version than what it is given: reload it");
-    const overview = inside
-      ? new Float32Array(Uint8Array.from(atob(find("overview").textContent), (c) => c.charCodeAt(0)).buffer)
-      : await fetched("overview", "rows");
-    const piece = inside ? null : (number) => fetched(`piece/${number}`, "rows");
-    window.handfast = new Player(new Recorded(scene, overview, piece));
+    if (shows === "live") {
+      const { connected } = await import("handfast/live.js");
+      window.handfast = await connected(checked);
+    } else window.handfast = new Player(shows ? await recorded() : inside());
   } catch (error) {
-    problem(`This recording cannot be shown: ${error.message}`);
+    const place = document.getElementById("problem");
+    place.textContent = `This cannot be shown: ${error.message}`;
+    place.hidden = false;
   }
 }
 

@@ -1,7 +1,7 @@
 // The panels beside the plan: a row for each robot, and what happened.
 const CLASSES = { drives: "good", failed: "bad", troubled: "warn" }; // of states, by how they look
 
-function element(name, text, className) {
+export function element(name, text, className) {
   const made = document.createElement(name);
   if (text !== undefined) made.textContent = text;
   if (className) made.className = className;
@@ -21,8 +21,9 @@ export class Robots {
     const head = element("tr");
     // What nobody has, as ticks in virtual time take no time, has no column.
     const headings = ["robot", "state", "off place m", "nearest m", "speed m/s"];
-    if (source.scene.series.age.some((value) => value !== null)) headings.push("oldest ms");
-    if (source.scene.series.tick.some((value) => value !== null)) headings.push("tick µs");
+    const { live, series } = source.scene;
+    if (live || series.age.some((value) => value !== null)) headings.push("oldest ms");
+    if (live || series.tick.some((value) => value !== null)) headings.push("tick µs");
     this.headings = headings;
     headings.forEach((name, index) => head.append(element("th", name, index === 1 ? "text" : "")));
     const thead = element("thead");
@@ -71,8 +72,8 @@ export class Robots {
       cells[1].className = `text ${CLASSES[scene.looks[state]] || ""}`;
       cells[3].className = nearest < scene.safe_m ? "bad" : "";
       line.classList.toggle("chosen", index === chosen);
-      if (reason && state !== "running") {
-        const text = `${state}: ${reason}`;
+      const note = this.source.note ? this.source.note(index) : "";
+      for (const text of [reason && state !== "running" ? `${state}: ${reason}` : "", note].filter(Boolean)) {
         reasons.set(text, [...(reasons.get(text) || []), scene.robots[index].id]);
       }
     });
@@ -82,22 +83,97 @@ export class Robots {
   }
 }
 
-// What happened, in the order of time: a click goes there.
+// What happened, in the order of time: a click goes there. Of a running fleet the list grows.
 export class Events {
   constructor(parent, scene, onSeek) {
-    const list = parent.querySelector("ol");
-    this.items = scene.marks.map((mark) => {
-      const item = element("li");
-      const button = element("button", `${mark.t_s.toFixed(1)} s  ${mark.text}`, mark.kind);
-      button.addEventListener("click", () => onSeek(Math.max(0, mark.t_s), mark));
-      item.append(button);
-      list.append(item);
-      return { mark, button };
-    });
-    if (!this.items.length) parent.hidden = true;
+    Object.assign(this, { parent, scene, onSeek, list: parent.querySelector("ol"), items: [] });
+    this.grow();
+  }
+
+  grow() {
+    const { list, items, scene: { marks } } = this;
+    if (items.length > marks.length) {
+      items.length = 0; // another drive
+      list.replaceChildren();
+    }
+    if (items.length < marks.length) {
+      const atEnd = list.scrollTop + list.clientHeight > list.scrollHeight - 30;
+      for (const mark of marks.slice(items.length)) {
+        const item = element("li");
+        const button = element("button", `${mark.t_s.toFixed(1)} s  ${mark.text}`, mark.kind);
+        button.addEventListener("click", () => this.onSeek(Math.max(0, mark.t_s), mark));
+        item.append(button);
+        list.append(item);
+        items.push({ mark, button });
+      }
+      if (atEnd && this.scene.live) list.scrollTop = list.scrollHeight;
+    }
+    this.parent.hidden = !items.length;
   }
 
   show(t) {
+    this.grow();
     for (const { mark, button } of this.items) button.classList.toggle("past", mark.t_s <= t + 1e-6);
+  }
+}
+
+// How each link is: of those that hear each other, the age of the newest message and what was lost lately.
+export class Links {
+  constructor(parent, source) {
+    Object.assign(this, { parent, source, before: new Map(), lost: new Map() });
+    this.table = element("table");
+    parent.append(element("h2", "Links: age of the last message in ms, lost of late"), this.table);
+    parent.hidden = true;
+  }
+
+  show(links) {
+    const { scene } = this.source;
+    const ids = scene.robots.map(({ id }) => id);
+    for (const [from, to, , received, lost] of links) {
+      const key = `${from} ${to}`;
+      const past = this.before.get(key) || [];
+      past.push([received, lost]);
+      if (past.length > 10) past.shift();
+      this.before.set(key, past);
+      const [[r0, l0]] = past;
+      const all = received - r0 + lost - l0;
+      this.lost.set(key, all > 0 ? (lost - l0) / all : 0);
+    }
+    this.parent.hidden = !links.length;
+    // Of many robots only those links that have something wrong.
+    const bad = links.filter(([from, to, age]) => age < 0 || this.lost.get(`${from} ${to}`) > 0.01);
+    if (ids.length > 12) return this.list(bad, links.length);
+    const cells = new Map(links.map((each) => [`${each[0]} ${each[1]}`, each]));
+    const rows = [["to \\ from", ...ids].map((text) => ({ text }))];
+    for (const to of ids) {
+      rows.push([{ text: to }, ...ids.map((from) => {
+        const link = cells.get(`${from} ${to}`);
+        if (!link) return { text: "" };
+        const lost = this.lost.get(`${from} ${to}`);
+        const text = link[2] < 0 ? "never" : `${link[2]}${lost > 0.005 ? ` ${(100 * lost).toFixed(0)}%` : ""}`;
+        return { text, className: link[2] < 0 || lost > 0.2 ? "bad" : lost > 0.01 ? "warn" : "" };
+      })]);
+    }
+    return this.fill(rows);
+  }
+
+  list(bad, count) {
+    const rows = [[{ text: `${count} links, ${bad.length} of which lose messages or are silent` }]];
+    for (const [from, to, age] of bad.slice(0, 20)) {
+      const lost = this.lost.get(`${from} ${to}`);
+      rows.push([{ text: `${from} to ${to}: ${age < 0 ? "never heard" : `${age} ms`}, ${(100 * lost).toFixed(0)} % lost`, className: "warn" }]);
+    }
+    return this.fill(rows);
+  }
+
+  fill(rows) {
+    const text = JSON.stringify(rows);
+    if (text === this.filled) return;
+    this.filled = text;
+    this.table.replaceChildren(...rows.map((cells, number) => {
+      const row = element("tr");
+      row.append(...cells.map((cell) => element(number ? "td" : "th", String(cell.text), cell.className)));
+      return row;
+    }));
   }
 }

@@ -18,13 +18,14 @@ export class Plan {
     this.scale = 50; // pixels a metre
     this.centre = [0, 0];
     this.fitted = false;
+    this.auto = Boolean(source.live); // keeps all robots in the picture, as long as nobody moves it
     this.pointers = new Map();
     this.listen();
   }
 
   // All that decides what is drawn of a moment, but the moment.
   look() {
-    return [this.centre, this.scale, this.show, this.follow, this.fitted];
+    return [this.centre, this.scale, this.show, this.follow, this.fitted, this.link, this.dragged];
   }
 
   // ---------------------------------------------------------------- where is what
@@ -56,7 +57,6 @@ export class Plan {
   fit() {
     this.resize();
     const { source } = this;
-    const { at, columns, overview, width } = source;
     let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
     const take = (x, y) => {
       if (!Number.isFinite(x) || !Number.isFinite(y)) return;
@@ -65,12 +65,8 @@ export class Plan {
       y0 = Math.min(y0, y);
       y1 = Math.max(y1, y);
     };
-    for (let k = 0; k < source.overviewRows; k++) {
-      for (let robot = 0; robot < source.scene.robots.length; robot++) {
-        const from = k * width + robot * columns;
-        take(overview[from + at.x], overview[from + at.y]);
-      }
-    }
+    source.scene.robots.forEach((_, robot) => source.path(robot, 0, Infinity, take));
+    if (source.live) source.eachPlace(take);
     for (const each of source.scene.obstacles) {
       if (each.points) each.points.forEach(([x, y]) => take(x, y));
       else {
@@ -96,21 +92,27 @@ export class Plan {
     const { canvas, pointers } = this;
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
+      this.auto = false;
       this.zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
     }, { passive: false });
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
       this.moved = 0;
+      this.held = pointers.size === 1 && this.grab ? this.grab(event.offsetX, event.offsetY) : null;
     });
     canvas.addEventListener("pointermove", (event) => {
       const before = pointers.get(event.pointerId);
       if (!before) return;
       const here = [event.offsetX, event.offsetY];
+      this.auto = false;
       const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, each]) => each);
       if (others.length) {
         const apart = (a) => Math.hypot(a[0] - others[0][0], a[1] - others[0][1]);
         this.zoom(apart(here) / Math.max(apart(before), 1), others[0][0], others[0][1]);
+      } else if (this.held) {
+        this.held((here[0] - before[0]) / this.scale, -(here[1] - before[1]) / this.scale);
+        this.dragged = (this.dragged || 0) + 1;
       } else {
         this.centre[0] -= (here[0] - before[0]) / this.scale;
         this.centre[1] += (here[1] - before[1]) / this.scale;
@@ -120,7 +122,8 @@ export class Plan {
     });
     const end = (event) => {
       if (!pointers.delete(event.pointerId) || event.type !== "pointerup" || this.moved > 4) return;
-      this.onChoose(this.nearest(event.offsetX, event.offsetY));
+      const robot = this.nearest(event.offsetX, event.offsetY);
+      this.onChoose(robot, robot === null ? this.edgeAt(event.offsetX, event.offsetY) : null);
     };
     canvas.addEventListener("pointerup", end);
     canvas.addEventListener("pointercancel", end);
@@ -137,14 +140,29 @@ export class Plan {
     return found;
   }
 
+  // The edge that is nearest to a place on the screen, as places of its robots; null where none is near.
+  edgeAt(px, py) {
+    let [found, least] = [null, 8];
+    if (!this.frame) return null;
+    this.source.eachEdge(this.frame, (i, j) => {
+      const [a, b] = [this.drawn[i], this.drawn[j]];
+      if (!a || !b) return;
+      const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+      const share = Math.min(Math.max(((px - a[0]) * dx + (py - a[1]) * dy) / (dx * dx + dy * dy || 1), 0), 1);
+      const away = Math.hypot(px - a[0] - share * dx, py - a[1] - share * dy);
+      if (away < least) [found, least] = [[i, j], away];
+    });
+    return found;
+  }
+
   // ---------------------------------------------------------------- drawing
 
   draw(frame) {
     this.resize();
-    if (!this.fitted) this.fit();
+    if (!this.fitted || (this.auto && !this.follow && this.isOutside(frame.row))) this.fit();
     const style = getComputedStyle(document.documentElement);
     this.theme = Object.fromEntries(
-      ["ink", "soft", "line", "page", "card", "robot", "fence", "warn", "bad"].map((name) => [
+      ["ink", "soft", "line", "page", "card", "accent", "robot", "fence", "warn", "bad"].map((name) => [
         name, style.getPropertyValue(`--${name}`).trim(),
       ]),
     );
@@ -157,8 +175,42 @@ export class Plan {
     this.grid();
     this.ground();
     if (this.show.trails) this.trails(frame);
-    this.edges(frame.row);
+    this.frame = frame;
+    this.edges(frame);
+    if (frame.now) this.silent();
     this.robots(frame);
+    if (this.over) this.over(frame);
+  }
+
+  // Where robots that are not heard are believed to be: somewhere on a way, give or take.
+  silent() {
+    const { c, source } = this;
+    const { panel } = source.parts;
+    c.strokeStyle = c.fillStyle = this.theme.bad;
+    for (const { robot, x, y, to_x, to_y, doubt_m } of panel ? panel.silent : []) {
+      const width = Math.max(2 * doubt_m * this.scale, 10);
+      c.globalAlpha = 0.2;
+      c.lineWidth = width;
+      c.lineCap = "round";
+      c.beginPath();
+      c.moveTo(...this.toScreen(x, y));
+      c.lineTo(...this.toScreen(to_x, to_y));
+      c.lineTo(this.toScreen(to_x, to_y)[0] + 0.1, this.toScreen(to_x, to_y)[1]);
+      c.stroke();
+      c.globalAlpha = 1;
+      c.font = "12px system-ui, sans-serif";
+      const [px, py] = this.toScreen((x + to_x) / 2, (y + to_y) / 2);
+      c.fillText(`${robot}?`, px + 6, py - 7);
+    }
+    c.lineCap = "butt";
+  }
+
+  isOutside(row) {
+    const { at, columns, scene } = this.source;
+    return scene.robots.some((_, k) => {
+      const [px, py] = this.toScreen(row[k * columns + at.x], row[k * columns + at.y]);
+      return px < 0 || py < 0 || px > this.width || py > this.height;
+    });
   }
 
   centreOn(row) {
@@ -238,10 +290,7 @@ export class Plan {
 
   trails(frame) {
     const { c, source } = this;
-    const { at, columns, overview, width } = source;
-    const per = source.stride / source.rate;
-    const last = Math.min(Math.floor(frame.t / per), source.overviewRows - 1);
-    const first = Math.max(0, Math.floor((frame.t - TRAIL_S) / per));
+    const { at, columns } = source;
     c.strokeStyle = this.theme.robot;
     c.lineWidth = 1.2;
     c.globalAlpha = 0.45;
@@ -255,10 +304,7 @@ export class Plan {
         else c.moveTo(px, py);
         return (drawing = true);
       };
-      for (let k = first; k <= last; k++) {
-        const from = k * width + robot * columns;
-        point(overview[from + at.x], overview[from + at.y]);
-      }
+      source.path(robot, frame.t - TRAIL_S, frame.t, point);
       point(frame.row[robot * columns + at.x], frame.row[robot * columns + at.y]);
     }
     c.stroke();
@@ -266,26 +312,27 @@ export class Plan {
   }
 
   // An edge that holds is a thin line; one that is too long is dashed, one that is too short dotted and thick.
-  edges(row) {
+  edges(frame) {
     const { c, source } = this;
     const { at, columns, scene } = source;
+    const { row } = frame;
     const few = scene.robots.length <= 30;
     const settled = scene.settled; // an edge that is off by less holds
-    scene.edges.forEach(([i, j], index) => {
-      const wanted = row[scene.robots.length * columns + index];
-      if (Number.isNaN(wanted)) return;
+    source.eachEdge(frame, (i, j, wanted) => {
       const [x, y] = [row[i * columns + at.x], row[i * columns + at.y]];
       const [u, v] = [row[j * columns + at.x], row[j * columns + at.y]];
       if (Number.isNaN(x) || Number.isNaN(u)) return;
       const distance = Math.hypot(x - u, y - v);
       const off = distance / wanted - 1;
       const unsafe = distance < scene.safe_m;
+      const chosen = this.link && this.link[0] === i && this.link[1] === j;
       c.strokeStyle = unsafe ? COLORS.bad : Math.abs(off) <= settled ? COLORS.holds : COLORS.off;
       c.lineWidth = (unsafe ? 4 : off < -settled ? 2.6 : 1.6) * (few ? 1 : 0.7);
       c.setLineDash(Math.abs(off) <= settled ? [] : off > 0 ? [9, 5] : [2, 3]);
       c.beginPath();
       c.moveTo(...this.toScreen(x, y));
       c.lineTo(...this.toScreen(u, v));
+      if (chosen) c.lineWidth += 4;
       c.stroke();
     });
     c.setLineDash([]);

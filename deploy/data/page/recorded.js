@@ -7,7 +7,8 @@ export class Recorded {
   // scene: as deploy/playback/scene.py gives it. overview: Float32Array of its thinned rows.
   // fetchPiece(number): gives a promise of a Float32Array; left out where there is nothing but the overview.
   constructor(scene, overview, fetchPiece) {
-    const { width, rate_hz, rows, stride, piece_rows, columns } = scene.track;
+    const { columns } = scene;
+    const { width, rate_hz, rows, stride, piece_rows } = scene.track;
     Object.assign(this, { scene, overview, fetchPiece, width, rate: rate_hz, rows, stride, pieceRows: piece_rows });
     this.columns = columns.length;
     this.at = Object.fromEntries(columns.map((name, index) => [name, index]));
@@ -20,6 +21,29 @@ export class Recorded {
   // Row number k of the overview is which row of the grid.
   rowOf(k) {
     return Math.min(k * this.stride, this.rows - 1);
+  }
+
+  timeText(t) {
+    return `${t.toFixed(2)} of ${this.scene.end_s.toFixed(1)} s`;
+  }
+
+  // Calls put(i, j, wanted) for each edge that is in force in a frame: places of its robots, its distance in m.
+  eachEdge({ row }, put) {
+    const from = this.scene.robots.length * this.columns;
+    this.scene.edges.forEach(([i, j], index) => {
+      if (!Number.isNaN(row[from + index])) put(i, j, row[from + index]);
+    });
+  }
+
+  // Calls put(x, y) for where a robot was from one time to another.
+  path(robot, from_s, to_s, put) {
+    const { overview, width, columns, at } = this;
+    const per = this.stride / this.rate;
+    const last = Math.min(Math.floor(to_s / per), this.overviewRows - 1);
+    for (let k = Math.max(0, Math.floor(from_s / per)); k <= last; k++) {
+      const from = k * width + robot * columns;
+      put(overview[from + at.x], overview[from + at.y]);
+    }
   }
 
   get overviewRows() {

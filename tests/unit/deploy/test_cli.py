@@ -63,8 +63,7 @@ def test_a_fleet_of_simulated_robots_has_nothing_to_check(capsys: pytest.Capture
     assert main(["preflight", "pair"]) == 0
     out = capsys.readouterr().out
     assert out.splitlines() == [
-        "robot 1  simulated: nothing to check",
-        "robot 2  simulated: nothing to check",
+        "robots 1 and 2  simulated: nothing to check",
         "CLEAR",
     ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agent.messages.types import Mission, Resume, Stop
-from deploy.drive.news import SENTENCES_MAX, News
+from deploy.drive.news import CHANGED, ORDERED, SENTENCES_MAX, Happening, News
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square("fleet.duration_s=60")
@@ -122,3 +122,29 @@ def test_many_that_are_late_by_as_many_times_are_one_sentence() -> None:
         "until it does not",
         "4.3 s: robot 60 is degraded: without robot 2",
     ]
+
+
+def test_what_happened_is_told_with_its_kind_and_its_robots_once() -> None:
+    made = news((1, "ready"), (2, "ready"), (3, "ready"))
+    made.order(Stop(3, EPOCH, "a person"))
+    made.remark(2, "battery low")
+    for robot in (3, 1):
+        made.state(robot, "degraded", "without robot 2")
+    made.state(2, "fault", "plant silent")
+    assert made.happenings(7.0) == [
+        Happening(ORDERED, "every robot is told to stop: a person"),
+        Happening(ORDERED, "robot 2: battery low"),
+        Happening(CHANGED, "robots 1 and 3 are degraded: without robot 2", (1, 3)),
+        Happening(CHANGED, "robot 2 is in fault: plant silent", (2,)),
+    ]
+    assert made.happenings(7.1) == []
+    assert made.sentences(7.1) == []
+
+
+def test_of_many_changes_the_rest_is_a_happening_of_no_robot() -> None:
+    made = news()
+    for robot in range(1, SENTENCES_MAX + 3):
+        made.state(robot, "degraded", "x" * robot)
+    *some, rest = made.happenings(2.0)
+    assert [each.robots for each in some] == [(robot,) for robot in range(1, SENTENCES_MAX + 1)]
+    assert rest == Happening(CHANGED, "and 2 more changes of state")

@@ -199,7 +199,7 @@ def test_plain_output_has_columns() -> None:
         "  FS_GCS_ENABLE  warning  0: off    set 1",
     ]
     out = io.StringIO()
-    show(FOUND, out)
+    show(FOUND, out, each=True)
     lines = out.getvalue().splitlines()
     assert [line for line in lines if not line.startswith(" ")] == [
         "robot 1",

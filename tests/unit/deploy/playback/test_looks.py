@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
+from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, SILENT, TROUBLED, UNREADY
 from deploy.playback.page import asset
 
 
 def test_every_state_has_a_look() -> None:
-    assert set(LOOKS) == {"", *(state.value for state in State)}
+    assert set(LOOKS) == {"", SILENT, *(state.value for state in State)}
     assert {LOOKS[name] for name in DRIVING_NAMES} == {DRIVES, TROUBLED}
 
 

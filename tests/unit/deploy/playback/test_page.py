@@ -8,6 +8,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 from deploy.console.data_files import PAGE
 from deploy.playback.page import MODULES, STYLE, asset, embedded, served, served_policy
 
@@ -36,7 +38,9 @@ def test_no_request_leaves_the_machine() -> None:
 
 
 def test_every_import_is_a_module_of_the_page() -> None:
-    imported = {name for text in texts() for name in re.findall(r'from "handfast/([^"]+)"', text)}
+    imported = {
+        name for text in texts() for name in re.findall(r'(?:from |import\()"handfast/([^"]+)"', text)
+    }
     assert imported <= set(MODULES)
     assert imported | {"main.js"} == set(MODULES)
 
@@ -46,8 +50,9 @@ def test_nothing_is_made_of_text_as_html() -> None:
         assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", text)
 
 
-def test_the_policy_allows_the_import_map_that_is_served() -> None:
-    found = re.search(r'<script type="importmap">(.*?)</script>', served().decode())
+@pytest.mark.parametrize("what", ["live", "recorded"])
+def test_the_policy_allows_the_import_map_that_is_served(what: str) -> None:
+    found = re.search(r'<script type="importmap">(.*?)</script>', served(what).decode())
     assert found is not None
     digest = base64.b64encode(hashlib.sha256(found[1].encode()).digest()).decode()
     assert f"'sha256-{digest}'" in served_policy()

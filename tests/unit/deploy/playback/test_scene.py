@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 from deploy.playback.page import asset
-from deploy.playback.scene import FORMAT, scene
-from deploy.playback.track import Track
+from deploy.playback.scene import FORMAT, ground, scene
+from deploy.playback.track import COLUMNS, Track
 from deploy.recording.collector import RunData
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
@@ -33,7 +33,7 @@ def test_a_scene_is_json_and_fits_its_track() -> None:
     assert len(track.overview()) % (found["track"]["width"] * 4) == 0
     assert found["track"]["rows"] == len(result.analysis.grid)
     assert [each["id"] for each in found["robots"]] == list(FLEET.ids)
-    assert len(found["edges"]) == found["track"]["width"] - len(FLEET.robots) * len(found["track"]["columns"])
+    assert len(found["edges"]) == found["track"]["width"] - len(FLEET.robots) * len(found["columns"])
     assert found["verdict"] == {"passed": True, "reasons": [], "warnings": []}
     assert found["states"][0][0][1:] == ["running", ""]
 
@@ -50,6 +50,17 @@ def test_the_ground_is_in_it() -> None:
         {"name": "obstacle 2", "x": 9, "y": 1, "radius": 0.4},
     ]
     assert len(found["fence"]) == 4
+
+
+def test_what_is_known_before_a_drive_is_in_the_scene_of_its_run() -> None:
+    """So a page shows both alike."""
+    found = json.loads(json.dumps(ground(FLEET), allow_nan=False))
+    assert found["safe_m"] == FLEET.formation.safe_distance_m
+    assert found["columns"] == list(COLUMNS)
+    assert found["fence"] is None
+    result = result_of()
+    of_run = json.loads(json.dumps(scene(result, Track(result))))
+    assert {name: of_run[name] for name in found} == found
 
 
 def test_the_page_knows_the_format() -> None:

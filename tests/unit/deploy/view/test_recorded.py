@@ -16,7 +16,7 @@ def test_the_page_its_files_and_the_run_are_there() -> None:
     answer = answers(result)
     page = answer("")
     assert page is not None
-    assert page.body == served()
+    assert page.body == served("recorded")
     scene = answer("scene")
     assert scene is not None
     assert json.loads(scene.body)["track"]["rows"] == track.rows

@@ -1,0 +1,82 @@
+"""The page beside a drive is told how that goes, ends with it, and never keeps it waiting for long."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from deploy.console.interrupt import Interrupt
+from deploy.view import beside as beside_module
+from deploy.view.beside import OVER, RECORDED, PageBeside
+
+NOTES = "import sys; open(sys.argv[2] + '/said', 'wb').write(sys.stdin.buffer.read())"
+FIRST_LINES = (
+    "import sys; open(sys.argv[2] + '/said', 'wb').writelines(sys.stdin.buffer.readline() for _ in '12')"
+)
+STAYS = "import time; time.sleep(600)"
+
+
+@pytest.fixture
+def interrupt() -> Interrupt:
+    return Interrupt()
+
+
+def command(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setattr(beside_module, "_COMMAND", text)
+
+
+def test_there_is_none_unless_it_is_wanted(tmp_path: Path, interrupt: Interrupt) -> None:
+    with PageBeside(tmp_path, interrupt, wanted=False) as page:
+        page.over()
+        page.recorded()
+        assert page._process is None
+
+
+def test_it_is_told_how_the_drive_goes(
+    tmp_path: Path, interrupt: Interrupt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command(monkeypatch, NOTES)
+    with PageBeside(tmp_path, interrupt, wanted=True) as page:
+        assert page._process is not None
+        assert page._process.args[-3:] == ["view", str(tmp_path), "--beside"]  # type: ignore[index]
+        page.over()
+        interrupt.count = 1
+        page.recorded()
+    assert page._process.returncode == 0
+    assert (tmp_path / "said").read_bytes() == OVER + RECORDED
+
+
+def test_the_recording_is_shown_until_the_page_ends(
+    tmp_path: Path, interrupt: Interrupt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command(monkeypatch, FIRST_LINES)
+    with PageBeside(tmp_path, interrupt, wanted=True) as page:
+        page.over()
+        page.recorded()
+        assert (tmp_path / "said").read_bytes() == OVER + RECORDED
+        page.over()  # it has ended, and that is no matter of the drive
+
+
+def test_one_that_does_not_end_is_ended(
+    tmp_path: Path, interrupt: Interrupt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command(monkeypatch, STAYS)
+    monkeypatch.setattr(beside_module, "END_S", 0.05)
+    begun = time.monotonic()
+    with PageBeside(tmp_path, interrupt, wanted=True) as page:
+        pass
+    assert page._process is not None
+    assert page._process.returncode == -9
+    assert time.monotonic() - begun < 20.0
+
+
+def test_a_drive_that_breaks_off_ends_it_too(
+    tmp_path: Path, interrupt: Interrupt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command(monkeypatch, NOTES)
+    with pytest.raises(ZeroDivisionError), PageBeside(tmp_path, interrupt, wanted=True) as page:
+        raise ZeroDivisionError
+    assert page._process is not None
+    assert page._process.returncode == 0

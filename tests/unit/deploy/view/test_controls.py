@@ -1,0 +1,362 @@
+"""What pages order is given once, however often it is said; what is no order is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from agent.messages.types import Message, Mission, Resume, Stop
+from deploy.view import controls as controls_module
+from deploy.view.controls import ID_MAX, KNOWN_MAX, LINES_MAX, REASON_MAX, SHOWN_MAX, Controls
+from deploy.view.orders import RefusedError
+from tests.unit.deploy.orders.order_fleets import S
+from tests.unit.deploy.view.running import FLEET, Running
+from tests.unit.deploy.view.test_orders import Way, begun, brake
+
+ALL = FLEET.ids
+
+
+class Made:
+    """Controls of a fleet that drives, what they tell, and the ways that they made."""
+
+    def __init__(self, running: Running) -> None:
+        self.running = running
+        self.ways: list[Way] = []
+        self.told: list[dict[str, Any]] = []
+        self.controls = Controls(running.state, self._ways, self._tell)
+        running.live.listeners.append(self.controls.feed)
+
+    def _ways(self) -> list[Way]:
+        self.ways.append(Way())
+        return [self.ways[-1]]
+
+    def _tell(self, told: Sequence[dict[str, Any]]) -> None:
+        self.told = json.loads(json.dumps(told))
+
+    def step(self, after_ns: int = S // 20) -> None:
+        self.running.step(after_ns)
+        self.controls.step()
+
+    def of(self, name: str) -> dict[str, Any]:
+        (found,) = [each for each in self.told if each["id"] == name]
+        return found
+
+
+@pytest.fixture
+def made() -> Iterator[Made]:
+    with Running() as running:
+        running.come()
+        begun(running)
+        yield Made(running)
+
+
+class Scripted:
+    """An order under way that does as the test says."""
+
+    what = "what the test does"
+    done = is_over = False
+    count = (0, 1)
+
+    def __init__(self, lines: int = 1) -> None:
+        self.heard = self.steps = 0
+        self._lines = [f"line {number}" for number in range(lines)]
+
+    def lines(self) -> list[str]:
+        return list(self._lines)
+
+    def feed(self, now_ns: int, key: str, message: Message) -> None:
+        self.heard += 1
+
+    def step(self, now_ns: int) -> None:
+        assert not self.is_over
+        self.steps += 1
+
+
+# ---------------------------------------------------------------------- once
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        ({"kind": "stop", "reason": "a person"}, Stop),
+        ({"kind": "resume"}, Resume),
+        ({"kind": "leave", "robot": 4}, Mission),
+        ({"kind": "join", "robot": 7, "edges": [1, 2]}, Mission),
+        ({"kind": "reshape", "scale": 1.5}, Mission),
+    ],
+)
+def test_an_order_is_given_once_however_often_it_is_said(
+    made: Made, content: dict[str, Any], kind: type[Message]
+) -> None:
+    for _ in range(3):
+        made.controls.take({"id": "a", **content})
+        made.step()
+    assert len({each.version for each in made.running.of(kind)}) == 1
+    assert [each["id"] for each in made.told] == ["a"]
+    made.controls.take({"id": "b", **content})
+    assert [each["id"] for each in made.told] == ["a", "b"]
+
+
+def test_one_of_the_same_name_is_the_same_whatever_else_it_says(made: Made) -> None:
+    made.controls.take({"id": "a", "kind": "leave", "robot": 4})
+    made.controls.take({"id": "a", "kind": "leave", "robot": 3})
+    made.controls.take({"id": "a", "kind": "stop"})
+    assert len(made.running.of(Mission)) == 1
+    assert made.running.of(Stop) == []
+
+
+def test_a_stop_is_told_as_it_goes(made: Made) -> None:
+    made.controls.take({"id": "a", "kind": "stop"})
+    assert len(made.running.of(Stop)) == 1  # before anything else is done
+    (way,) = made.ways
+    assert len(way.sent) == 1
+    about = made.of("a")
+    assert (about["kind"], about["what"], about["count"]) == ("stop", "stop", [0, 6])
+    assert (about["over"], about["done"]) == (False, False)
+    version = made.running.of(Stop)[0].version
+    brake(made.running, version, 1, 2, 3)
+    made.step()
+    assert (made.of("a")["count"], made.of("a")["over"]) == ([3, 6], False)
+    brake(made.running, version, 4, 7, 8)
+    made.step()
+    assert (made.of("a")["count"], made.of("a")["over"], made.of("a")["done"]) == ([6, 6], True, True)
+    assert way.closed == 1
+
+
+def test_what_became_of_what_is_over_does_not_change(made: Made) -> None:
+    made.controls.take({"id": "a", "kind": "stop"})
+    brake(made.running, made.running.of(Stop)[0].version, *ALL)
+    made.step()
+    over = made.of("a")
+    assert over["done"]
+    made.controls.take({"id": "b", "kind": "stop"})
+    for robot in ALL:
+        made.running.status(robot, "running", order_version=made.running.of(Stop)[-1].version)
+        made.running.body(robot)
+    made.step()
+    assert made.of("a") == over
+    assert not made.of("b")["done"]
+
+
+def test_one_that_ends_by_itself_between_two_looks_is_told_to_be_over(made: Made) -> None:
+    scripted = Scripted()
+    made.controls.kinds["test"] = lambda _: scripted
+    made.controls.take({"id": "a", "kind": "test"})
+    made.step()
+    assert not made.of("a")["over"]
+    scripted.is_over = scripted.done = True
+    steps = scripted.steps
+    made.step()
+    assert (made.of("a")["over"], made.of("a")["done"]) == (True, True)
+    made.step()
+    assert scripted.steps == steps
+
+
+def test_what_comes_is_for_those_that_are_not_over(made: Made) -> None:
+    scripted = Scripted()
+    made.controls.kinds["test"] = lambda _: scripted
+    made.controls.take({"id": "a", "kind": "test"})
+    made.running.status(1)
+    made.step()
+    assert scripted.heard == 1
+    scripted.is_over = True
+    made.step()
+    made.running.status(1)
+    made.step()
+    assert scripted.heard == 1
+
+
+# ---------------------------------------------------------------------- how many
+
+
+def test_so_many_are_told_and_the_others_again_when_they_are_said_again(made: Made) -> None:
+    for number in range(SHOWN_MAX + 3):
+        made.controls.take({"id": str(number), "kind": "nothing"})
+    assert [each["id"] for each in made.told] == [str(number) for number in range(3, SHOWN_MAX + 3)]
+    made.controls.take({"id": "0", "kind": "nothing"})  # its page has not been told
+    assert made.told[-1]["id"] == "0"
+    assert len(made.told) == SHOWN_MAX
+    before = list(made.told)
+    made.controls.take({"id": "5", "kind": "nothing"})
+    assert made.told == before
+
+
+def test_so_many_are_known(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert KNOWN_MAX > 10 * SHOWN_MAX
+    monkeypatch.setattr(controls_module, "KNOWN_MAX", 20)
+    scripted = Scripted()
+    count: list[int] = []
+
+    def note(_: Mapping[str, Any]) -> Scripted:
+        count.append(1)
+        raise RefusedError("no")
+
+    made.controls.kinds["test"] = note
+    made.controls.kinds["lasts"] = lambda _: scripted
+    made.controls.take({"id": "lasts", "kind": "lasts"})
+    for number in range(21):
+        made.controls.take({"id": str(number), "kind": "test"})
+    for number in range(20, 0, -1):
+        made.controls.take({"id": str(number), "kind": "test"})
+    assert len(count) == 21
+    made.controls.take({"id": "0", "kind": "test"})
+    assert len(count) == 22  # forgotten
+    made.step()
+    assert scripted.steps == 1  # what is not over is not
+
+
+def test_so_many_lines_are_told(made: Made) -> None:
+    made.controls.kinds["test"] = lambda content: Scripted(content["lines"])
+    made.controls.take({"id": "a", "kind": "test", "lines": LINES_MAX})
+    made.controls.take({"id": "b", "kind": "test", "lines": LINES_MAX + 4})
+    assert made.of("a")["lines"] == [f"line {number}" for number in range(LINES_MAX)]
+    assert made.of("b")["lines"] == [*made.of("a")["lines"], "and 4 more"]
+
+
+# ---------------------------------------------------------------------- what is none
+
+
+def test_what_has_no_name_is_not_taken(made: Made) -> None:
+    names: list[Any] = [None, "", 1, 1.5, True, [], {}, "x" * (ID_MAX + 1)]
+    for name in names:
+        made.controls.take({"id": name, "kind": "stop"})
+    made.controls.take({"kind": "stop"})
+    made.controls.take({})
+    assert (made.told, made.running.bus.said) == ([], [])
+    made.controls.take({"id": "x" * ID_MAX, "kind": "stop"})
+    assert len(made.told) == 1
+
+
+@pytest.mark.parametrize("kind", ["dance", "", "Stop", None, 1, [], {}, ["stop"], "x" * 10_000])
+def test_what_cannot_be_ordered_is_refused(made: Made, kind: object) -> None:
+    made.controls.take({"id": "a", "kind": kind})
+    about = made.of("a")
+    assert (about["over"], about["done"]) == (True, False)
+    assert about["lines"] == [
+        "nothing that can be ordered here; there are stop, resume, join, leave, replace, remove, reshape"
+    ]
+    assert len(about["kind"]) <= ID_MAX
+    assert made.running.bus.said == []
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ({"kind": "leave"}, "robot: is missing"),
+        ({"kind": "leave", "robot": 99}, "robot: there is no robot 99"),
+        ({"kind": "leave", "robot": 4, "scale": 2}, "scale: "),
+        ({"kind": "leave", "robot": 4, "dance": 1}, "dance: "),
+        ({"kind": "resume", "ago_s": "long"}, "ago_s: "),
+        ({"kind": "leave", "robot": 7}, "cannot be done: "),
+    ],
+)
+def test_what_is_wrong_with_an_order_is_told_in_one_line(
+    made: Made, content: dict[str, Any], why: str
+) -> None:
+    made.controls.take({"id": "a", **content})
+    (line,) = made.of("a")["lines"]
+    assert why in line
+    assert made.of("a")["over"]
+    assert made.running.bus.said == []
+
+
+def test_a_stop_is_given_whatever_else_is_said_with_it(made: Made) -> None:
+    mores: list[dict[str, Any]] = [
+        {"reason": 5},
+        {"reason": None},
+        {"reason": ["x"]},
+        {"robot": 99},
+        {"ago_s": "x"},
+        {"more": {}},
+    ]
+    for number, more in enumerate(mores):
+        made.controls.take({"id": str(number), "kind": "stop", **more})
+        assert len({each.version for each in made.running.of(Stop)}) == number + 1
+    made.controls.take({"id": "long", "kind": "stop", "reason": "x" * 5_000})
+    assert len(made.of("long")["what"]) <= REASON_MAX + len("stop: ")
+
+
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.sampled_from([10**400, -(2**63), 0, 1, 4, 7])
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(["1", "4", "7", "\ud800", "1->2", "100%", "2s"]),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=4),
+    max_leaves=8,
+)
+FIELDS = (
+    "robot",
+    "robots",
+    "edges",
+    "by",
+    "scale",
+    "formation",
+    "over_s",
+    "offset_m",
+    "reason",
+    "at",
+    "ago_s",
+)
+KINDS = ("stop", "resume", "join", "leave", "replace", "remove", "reshape")
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(KINDS), st.dictionaries(st.sampled_from(FIELDS), VALUES, max_size=4))
+def test_whatever_a_page_says_is_given_or_refused(made: Made, kind: str, fields: dict[str, Any]) -> None:
+    made.running.bus.said.clear()
+    made.controls.take({"id": "a", "kind": kind, **fields})
+    about = made.of("a")
+    if "count" not in about:  # refused
+        assert about["over"]
+        assert len(about["lines"]) == 1
+        assert made.running.bus.said == []
+    else:
+        assert made.running.bus.said
+    made.controls._given.clear()
+
+
+# ---------------------------------------------------------------------- questions
+
+
+class Ask(Protocol):
+    def __call__(self, content: Mapping[str, Any]) -> dict[str, Any]: ...
+
+
+@pytest.fixture
+def ask(made: Made) -> Ask:
+    return lambda content: asyncio.run(made.controls.preview(content))
+
+
+def test_what_would_come_of_a_formation_is_told_and_nothing_ordered(made: Made, ask: Ask) -> None:
+    fine = ask({"number": 3, "by": {"3": [0.1, 0.1]}})
+    assert (fine["number"], fine["fine"]) == (3, True)
+    assert fine["text"]
+    near = ask({"number": 4, "by": {"3": [0.0, -0.95]}})
+    assert (near["number"], near["fine"]) == (4, False)
+    assert "0.05 m apart" in near["text"]
+    assert made.running.bus.said == []
+
+
+@pytest.mark.parametrize("number", [None, "3", [], 1.5, 10**400, float("nan")])
+def test_a_question_that_is_none_is_answered_too(ask: Ask, number: object) -> None:
+    found = ask({"number": number, "by": {"99": [0, 0]}})
+    assert not found["fine"]
+    assert "by.99" in found["text"]
+    assert json.loads(json.dumps({"parts": {"preview": found}}, allow_nan=False))
+
+
+def test_nothing_can_be_asked_before_there_is_a_mission() -> None:
+    with Running() as running:
+        made = Made(running)
+        found = asyncio.run(made.controls.preview({"number": 1, "by": {"3": [0.1, 0.1]}}))
+    assert found == {"number": 1, "text": found["text"], "fine": False}
+    assert found["text"].startswith("the fleet has no mission yet")

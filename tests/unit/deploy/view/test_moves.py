@@ -1,0 +1,160 @@
+"""Places that are dragged are a reshaping; what would come of it is what `check` finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf, nan
+from typing import Any
+
+import pytest
+
+from agent.formation.geometry import resolved
+from agent.formation.mission_plan import Plan, plan_of
+from deploy.check.check import check
+from deploy.check.finding import Finding
+from deploy.orders.mission_editing import ordered
+from deploy.view import moves
+from deploy.view.moves import SAID_MAX, judged, order_to_move
+from deploy.view.orders import RefusedError
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
+
+FLEET = resolved(square())
+PLAN = first_plan(FLEET)
+NOW_NS = EPOCH + 10 * S
+
+
+def moved(by: dict[str, Any], plan: Plan = PLAN) -> dict[int, tuple[float, float]]:
+    """Where members have their places after such a move."""
+    mission = ordered(order_to_move({"by": by}, plan, FLEET), plan, FLEET, NOW_NS, 9)
+    return {place.robot: (place.x, place.y) for place in mission.robots}
+
+
+def test_places_move_from_where_the_mission_has_them() -> None:
+    assert moved({"3": [0.5, -0.25]}) == {1: (0, 0), 2: (1, 0), 3: (1.5, 0.75), 4: (0, 1)}
+    assert moved({"1": [-1, 0], "4": [0, 0.12344]}) == {1: (-1, 0), 2: (1, 0), 3: (1, 1), 4: (0, 1.1234)}
+    _, wider = after(order("reshape", scale=2.0), PLAN, FLEET)
+    assert moved({"3": [0.5, 0]}, wider) == {1: (0, 0), 2: (2, 0), 3: (2.5, 2), 4: (0, 2)}
+    _, fewer = after(order("leave", robot=2), PLAN, FLEET)
+    assert moved({"3": [0.5, 0]}, fewer) == {1: (0, 0), 3: (1.5, 1), 4: (0, 1)}
+
+
+def test_edges_stay_and_are_as_long_as_their_places_are_apart() -> None:
+    mission = ordered(order_to_move({"by": {"2": [1, 0]}}, PLAN, FLEET), PLAN, FLEET, NOW_NS, 9)
+    plan = plan_of(mission, FLEET, None)
+    assert plan.edges.keys() == PLAN.edges.keys()
+    assert plan.edges[1, 2] == pytest.approx(2.0)
+    assert plan.edges[3, 4] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "by",
+    [
+        None,
+        [],
+        {},
+        "3",
+        {"7": [0, 0]},
+        {"99": [0, 0]},
+        {"-1": [0, 0]},
+        {"3.0": [0, 0]},
+        {"²": [0, 0]},
+        {"٣": [0, 0]},
+        {" 3": [0, 0]},
+        {"9" * 5_000: [0, 0]},
+        {"": [0, 0]},
+        {3: [0, 0]},
+        {"3": None},
+        {"3": 1.0},
+        {"3": []},
+        {"3": [1]},
+        {"3": [1, 2, 3]},
+        {"3": {"x": 1, "y": 2}},
+        {"3": "12"},
+        {"3": [nan, 0]},
+        {"3": [0, inf]},
+        {"3": [-inf, 0]},
+        {"3": [10**400, 0]},
+        {"3": [1e300, 0]},
+        {"3": ["1", "0"]},
+        {"3": [True, False]},
+        {"3": [None, None]},
+        {"3": [[1], [0]]},
+        {"3": [0.1, 0.1], "7": [0, 0]},
+    ],
+)
+def test_what_is_no_move_is_refused(by: Any) -> None:
+    with pytest.raises(RefusedError) as caught:
+        order_to_move({"by": by}, PLAN, FLEET)
+    assert str(caught.value).startswith(("nothing is moved", "by."))
+
+
+def test_nothing_is_moved_before_there_is_a_mission() -> None:
+    with pytest.raises(RefusedError, match="no mission yet"):
+        order_to_move({"by": {"3": [0, 0]}}, None, FLEET)
+
+
+def test_places_beyond_all_bounds_are_refused() -> None:
+    far = order("reshape", scale=1000.0)
+    with pytest.raises(RefusedError, match=r"formation\.offsets"):
+        order_to_move({"by": {"3": [1e6, 1e6]}}, after(far, PLAN, FLEET)[1], FLEET)
+
+
+# ---------------------------------------------------------------------- what would come of it
+
+
+def test_what_would_come_of_a_move_is_what_check_finds_besides() -> None:
+    """Robot 3 in one line with 1 and 2: the formation can be bent there."""
+    order_of_it = order_to_move({"by": {"3": [1.0, -1.0]}}, PLAN, FLEET)
+    text, fine = judged(order_of_it, PLAN, FLEET, NOW_NS)
+    offsets = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (0.0, 1.0))
+    edges = tuple(PLAN.edges)
+    apart = {(1, 2): 1.0, (2, 3): 1.0, (3, 4): 5**0.5, (1, 4): 1.0, (1, 3): 2.0}
+    formation = replace(
+        FLEET.formation, offsets=offsets, edges=edges, distance_m=tuple(apart[edge] for edge in edges)
+    )
+    known = {each.message for each in check(FLEET)}
+    found = [
+        each
+        for each in check(replace(FLEET, formation=formation))
+        if each.message not in known and each.level in ("error", "warning")
+    ]
+    assert found
+    for each in found[:SAID_MAX]:
+        assert f"{each.level}: {each.message}" in text
+    assert fine == all(each.level != "error" for each in found)
+    assert text.endswith(" s")
+
+
+def test_a_move_of_which_nothing_comes_is_fine() -> None:
+    text, fine = judged(order_to_move({"by": {"3": [0.1, 0.1]}}, PLAN, FLEET), PLAN, FLEET, NOW_NS)
+    assert fine
+    assert text.startswith("check finds nothing wrong; takes ")
+
+
+def test_what_is_wrong_already_is_not_said_again() -> None:
+    """A formation in which robots 1 and 3 have no edge can be bent: dragged a little it still can."""
+    fleet = resolved(square("formation.edges=[[1, 2], [2, 3], [3, 4], [1, 4]]"))
+    plan = first_plan(fleet)
+    assert [each for each in check(fleet) if each.level in ("error", "warning")]
+    text, fine = judged(order_to_move({"by": {"3": [0.1, 0.1]}}, plan, fleet), plan, fleet, NOW_NS)
+    assert fine
+    assert text.startswith("check finds nothing wrong")
+
+
+def test_only_an_error_keeps_it_from_being_ordered(monkeypatch: pytest.MonkeyPatch) -> None:
+    moved = order_to_move({"by": {"3": [0.1, 0.1]}}, PLAN, FLEET)
+    for levels, is_fine in ((["warning"] * 5, True), (["warning", "error"], False), (["info"], True)):
+        found = [Finding(level, "there", f"number {number}") for number, level in enumerate(levels)]  # type: ignore[arg-type]
+        checked = iter([[], found])
+        monkeypatch.setattr(moves, "check", lambda _, checked=checked: next(checked))
+        text, fine = judged(moved, PLAN, FLEET, NOW_NS)
+        assert fine == is_fine
+        assert ("; and 2 more; " in text) == (len(levels) == 5)
+        assert (f"{levels[0]}: number 0" in text) == (levels != ["info"])
+
+
+def test_what_cannot_be_ordered_is_said_and_why() -> None:
+    near = order_to_move({"by": {"3": [0.0, -0.95]}}, PLAN, FLEET)
+    text, fine = judged(near, PLAN, FLEET, NOW_NS)
+    assert not fine
+    assert text.startswith("robots 2 and 3 would stand 0.05 m apart")
