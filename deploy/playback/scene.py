@@ -33,7 +33,10 @@ def ground(fleet: Fleet) -> dict[str, Any]:
         "safe_m": fleet.formation.safe_distance_m,
         "settled": SETTLED,
         "looks": dict(LOOKS),
-        "robots": [{"id": each.id, "hand_m": each.hand_offset_m} for each in fleet.robots],
+        "robots": [
+            {"id": each.id, "hand_m": each.hand_offset_m, "vehicle": each.kind.vehicle}
+            for each in fleet.robots
+        ],
         "obstacles": [
             {"name": each.name, "x": each.x, "y": each.y, "radius": each.radius}
             if isinstance(each, Circle)

@@ -1,5 +1,5 @@
 // What an operator orders of a running fleet, and who has done it. Nothing here asks back: STOP least of all.
-import { element, Links } from "handfast/panels.js";
+import { element, LEVELS, Links } from "handfast/panels.js";
 import { Reshape } from "handfast/reshape.js";
 
 const AGAIN_MS = 300; // an order that the server has not been heard to know is said again
@@ -19,6 +19,7 @@ export class Controls {
     Object.assign(this, { player, source, pending: new Map(), known: [], lost: [], serial: 0 });
     this.name = Array.from(crypto.getRandomValues(new Uint32Array(3)), (part) => part.toString(36)).join("");
     this.links = new Links(find("links"), source);
+    player.plan.trouble = (i, j) => this.links.trouble(source.scene.robots[i].id, source.scene.robots[j].id);
     this.may = new Set();
     this.place = find("change");
     this.lists();
@@ -116,7 +117,8 @@ export class Controls {
   choice() {
     const { panel } = this.source.parts;
     const { chosen, link } = this.player;
-    const key = JSON.stringify([chosen, link, panel && panel.members, panel && panel.mission, [...this.may], this.reshape.active, panel && panel.faults]);
+    const lines = chosen === null ? [] : this.source.lines(chosen);
+    const key = JSON.stringify([lines, chosen, link, panel && panel.members, panel && panel.mission, [...this.may], this.reshape.active, panel && panel.faults]);
     if (key === this.chosenKey || !panel) return;
     this.chosenKey = key;
     const made = [];
@@ -135,6 +137,13 @@ export class Controls {
     if (this.reshape.active) made.push(...this.reshape.elements());
     if (this.may.has("heal") && panel.faults.some((text) => text.startsWith("live "))) {
       button("heal all links", "End all live fault rules", () => this.order({ kind: "heal" }));
+    }
+    if (lines.length) {
+      const list = element("ul", undefined, "lines");
+      for (const [name, level, found, advice] of lines) {
+        list.append(element("li", `${name}: ${found}${advice ? ` (${advice})` : ""}`, LEVELS[level]));
+      }
+      made.push(list);
     }
     if (!made.length) made.push(element("span", "Choose a robot or a link for what can be ordered of it.", "soft"));
     this.buttons.replaceChildren(...made);

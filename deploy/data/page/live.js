@@ -82,7 +82,7 @@ export class Live {
     const age = Math.max(0, silent / 1000).toFixed(silent < 9950 ? 1 : 0);
     if (this.refused) problem(`This page is told nothing any more: ${this.refused}. What is shown is ${age} s old.`);
     else if (over) problem("The drive is over; the recording comes in a moment.");
-    else problem(stale ? `No connection to the server of this page: what is shown is ${age} s old. Robots go on as they were told.` : "");
+    else problem(stale ? `No connection to the server of this page: what is shown is ${age} s old. Robots go on as they were told; "handfast stop" stops them.` : "");
   }
 
   // ---------------------------------------------------------------- what is told
@@ -320,13 +320,22 @@ export class Live {
     return changes[k] || [0, "", ""];
   }
 
-  // What else is known of a robot now.
+  // What a vehicle's bridge says of it: [name, level, found, advice] each.
+  lines(robot) {
+    const { panel } = this.parts;
+    return (panel && panel.checks[this.scene.robots[robot].id]) || [];
+  }
+
+  line(robot, wanted) {
+    return this.lines(robot).find(([name]) => name === wanted);
+  }
+
+  // What else is to be known of a robot now.
   note(robot) {
     const { panel } = this.parts;
     if (!panel) return "";
-    const { id } = this.scene.robots[robot];
-    const lines = (panel.checks[id] || []).filter(([, level]) => level !== "ok").map(([name, , found]) => `${name}: ${found}`);
-    return [panel.notes[id], ...lines].filter(Boolean).join("; ");
+    const lines = this.lines(robot).filter(([, level]) => level === "blocking").map(([name, , found]) => `${name}: ${found}`);
+    return [panel.notes[this.scene.robots[robot].id], ...lines].filter(Boolean).join("; ");
   }
 
   timeText(t, follows) {

@@ -1,5 +1,7 @@
 // The panels beside the plan: a row for each robot, and what happened.
 const CLASSES = { drives: "good", failed: "bad", troubled: "warn" }; // of states, by how they look
+const TROUBLE = 0.02; // a link that loses a greater share is marked
+export const LEVELS = { warning: "warn", blocking: "bad" }; // classes of what checks say
 
 export function element(name, text, className) {
   const made = document.createElement(name);
@@ -22,6 +24,9 @@ export class Robots {
     // What nobody has, as ticks in virtual time take no time, has no column.
     const headings = ["robot", "state", "off place m", "nearest m", "speed m/s"];
     const { live, series } = source.scene;
+    // What bridges say of vehicles, as they say it.
+    this.lines = live && source.scene.robots.some(({ vehicle }) => vehicle) ? ["battery", "mode"] : [];
+    headings.push(...this.lines);
     if (live || series.age.some((value) => value !== null)) headings.push("oldest ms");
     if (live || series.tick.some((value) => value !== null)) headings.push("tick µs");
     this.headings = headings;
@@ -64,6 +69,11 @@ export class Robots {
         null, state || "–", number(Math.hypot(x - value("place_x"), y - value("place_y")), 2),
         who === null ? "–" : `${nearest.toFixed(2)} (${who})`, number(value("speed"), 2),
       ];
+      for (const name of this.lines) {
+        const line = this.source.line(index, name);
+        cells[texts.length].className = LEVELS[line && line[1]] || "";
+        texts.push(line ? line[2].split(", ").pop() : "–");
+      }
       if (this.headings.includes("oldest ms")) texts.push(number(value("age_ms"), 0));
       if (this.headings.includes("tick µs")) texts.push(number(value("tick_us"), 0));
       texts.forEach((text, column) => {
@@ -120,14 +130,23 @@ export class Events {
 // How each link is: of those that hear each other, the age of the newest message and what was lost lately.
 export class Links {
   constructor(parent, source) {
-    Object.assign(this, { parent, source, before: new Map(), lost: new Map() });
+    Object.assign(this, { parent, source, before: new Map(), lost: new Map(), never: new Set() });
     this.table = element("table");
     parent.append(element("h2", "Links: age of the last message in ms, lost of late"), this.table);
     parent.hidden = true;
   }
 
+  // What is wrong with the link between two robots, "" for nothing: the share that was lost, either way.
+  trouble(one, other) {
+    const both = [`${one} ${other}`, `${other} ${one}`];
+    if (both.some((key) => this.never.has(key))) return "silent";
+    const lost = Math.max(...both.map((key) => this.lost.get(key) || 0));
+    return lost > TROUBLE ? `${(100 * lost).toFixed(0)} % lost` : "";
+  }
+
   show(links) {
     const { scene } = this.source;
+    this.never = new Set(links.filter(([, , age]) => age < 0).map(([from, to]) => `${from} ${to}`));
     const ids = scene.robots.map(({ id }) => id);
     for (const [from, to, , received, lost] of links) {
       const key = `${from} ${to}`;

@@ -334,8 +334,24 @@ export class Plan {
       c.lineTo(...this.toScreen(u, v));
       if (chosen) c.lineWidth += 4;
       c.stroke();
+      const trouble = frame.now && this.trouble ? this.trouble(i, j) : "";
+      if (trouble) this.said(trouble, this.toScreen((x + u) / 2, (y + v) / 2));
     });
     c.setLineDash([]);
+  }
+
+  // What is wrong with a link, at its middle.
+  said(text, [px, py]) {
+    const { c } = this;
+    c.font = "11px system-ui, sans-serif";
+    c.textAlign = "center";
+    c.setLineDash([]);
+    c.lineWidth = 3;
+    c.strokeStyle = this.theme.page;
+    c.strokeText(text, px, py + 4);
+    c.fillStyle = this.theme.bad;
+    c.fillText(text, px, py + 4);
+    c.textAlign = "start";
   }
 
   robots(frame) {
