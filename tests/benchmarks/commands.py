@@ -44,7 +44,7 @@ def command(*words: str) -> tuple[float, int, str]:
 def braked(said: str) -> tuple[int, float]:
     """How many robots took a stop by what `handfast stop` said of it, and the last of them after how many
     seconds; nan where it says nothing of that."""
-    found = re.search(r"(\d+) robots brake, the last after (\d+) ms", said)
+    found = re.search(r"(\d+) of \d+ robots brake, the last after (\d+) ms", said)
     return (int(found[1]), int(found[2]) / 1000.0) if found else (0, nan)
 
 
