@@ -50,7 +50,7 @@ export class Controls {
 
   order(content) {
     this.serial += 1;
-    const order = { ...content, id: `${this.name}-${this.serial}` };
+    const order = { ...content, id: `${this.name}-${this.serial}`, seen_s: this.source.made };
     this.pending.set(order.id, { order, given: performance.now() });
     this.source.say({ order });
     this.show();

@@ -82,7 +82,7 @@ export class Player {
         toggle("forces");
         if (this.source.live) this.source.wantForces(this.plan.show.forces);
       },
-      link: () => this.link(),
+      link: () => this.copyLink(),
     };
     for (const [id, act] of Object.entries(actions)) find(id).addEventListener("click", act);
     const keys = {
@@ -143,7 +143,7 @@ export class Player {
     if (find("scale").textContent !== text) find("scale").textContent = text;
   }
 
-  link() {
+  copyLink() {
     try {
       history.replaceState(null, "", `#t=${this.t.toFixed(3)}`);
     } catch {
