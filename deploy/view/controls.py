@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-from agent.common.time import NS_PER_S
 from agent.messages.types import Message
 from deploy.drive.fleet_state import FleetState
 from deploy.session.stop import Way
@@ -17,7 +16,7 @@ from deploy.view.orders import (
     ResumeUnderWay,
     StopUnderWay,
     UnderWay,
-    ago_s,
+    given_ns,
     order_of,
 )
 
@@ -28,8 +27,6 @@ KNOWN_MAX: Final = 500
 ID_MAX: Final = 64
 LINES_MAX: Final = 12
 REASON_MAX: Final = 200
-SEEN_S_MAX: Final = 3.0
-"""An order but a stop is given by what a page saw so long ago at most."""
 
 Make = Callable[[Mapping[str, Any]], UnderWay]
 """Gives an order of a page; raises RefusedError where it cannot be."""
@@ -88,7 +85,9 @@ class Controls:
         self.kinds: Final[dict[str, Make]] = {
             "stop": lambda content: StopUnderWay(state, _reason(content), ways()),
             "resume": lambda content: ResumeUnderWay(
-                state, order_of(content, state.fleet.ids).robots or (), ago_s(content)
+                state,
+                order_of(content, state.fleet.ids).robots or (),
+                given_ns(content, state.clock.now_ns()),
             ),
         }
         """By kind, what gives an order."""
@@ -97,7 +96,8 @@ class Controls:
         self._given: dict[str, _Given] = {}
 
     def take(self, content: Mapping[str, Any]) -> None:
-        """Takes an order: `id`, by which it is known, `kind`, and the fields of its kind."""
+        """Takes an order: `id`, by which it is known, `kind`, the fields of its kind, and unless it is a stop
+        `seen_s`, by which it is known when it was given (`deploy.view.orders.given_ns`)."""
         name, kind = content.get("id"), content.get("kind")
         if not isinstance(name, str) or not 0 < len(name) <= ID_MAX:
             return
@@ -106,18 +106,12 @@ class Controls:
             return
         given = self._given[name] = _Given(name, str(kind)[:ID_MAX])
         make = self.kinds.get(kind) if isinstance(kind, str) else None
-        fields = {key: value for key, value in content.items() if key not in ("id", "seen_s")}
+        fields = {key: value for key, value in content.items() if key != "id"}
         try:
             if make is None:
                 raise RefusedError(f"nothing that can be ordered here; there are {', '.join(self.kinds)}")
-            # By this clock, of the frame that was on the page: the order may have waited on its way since.
-            seen_s = content.get("seen_s")
-            if kind != "stop" and isinstance(seen_s, int | float):
-                age_s = self._state.clock.now_ns() / NS_PER_S - seen_s
-                if not age_s <= SEEN_S_MAX:
-                    raise RefusedError("given by what the page saw too long ago; look, and order again")
-                if kind == "resume":
-                    fields["ago_s"] = max(ago_s(fields), age_s, 0.0)
+            if kind != "stop":
+                given_ns(fields, self._state.clock.now_ns())
             given.under_way = make(fields)
         except RefusedError as error:
             given.refused = str(error)

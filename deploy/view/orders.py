@@ -23,9 +23,10 @@ from deploy.session.order import CONFIRM_S, TAKE_S
 from deploy.session.session import ANSWER_S
 from deploy.session.stop import WAIT_S, OtherWays, Way
 
-AGO: Final = "ago_s"
-"""The field of an order that says how long ago it was given."""
-AGO_S_MAX: Final = 86_400.0
+SEEN: Final = "seen_s"
+"""The field of an order that says when the frame was made (s, this wall clock) which its page showed then."""
+SEEN_S_MAX: Final = 3.0
+"""Only a stop is given by what a page showed longer ago."""
 
 
 class RefusedError(ValueError):
@@ -128,20 +129,19 @@ class ResumeUnderWay:
     """A resume of some robots, none: of all.
 
     Args:
-        ago_s: how long ago somebody gave it: one that was long on its way lifts no stop that was given since.
+        given_ns: when somebody gave it (wall clock): it lifts no stop that was given since.
 
     Raises:
         RefusedError: no robot would believe this machine's clock, or somebody has just said stop.
     """
 
-    def __init__(self, state: FleetState, robots: Sequence[int], ago_s: float = 0.0) -> None:
+    def __init__(self, state: FleetState, robots: Sequence[int], given_ns: int) -> None:
         self._state = state
         self._begun_ns = now_ns = state.clock.now_ns()
         operator = state.operator
         if trouble := operator.clock_trouble(now_ns):
             raise RefusedError(f"nobody is resumed: {trouble}")
         stop = operator.stop_in_force
-        given_ns = now_ns - round(ago_s * NS_PER_S)
         if stop is not None and is_since(stop, given_ns, now_ns):
             raise RefusedError("nobody is resumed: somebody has just said stop; resume again to lift that")
         message = operator.order_resume(now_ns, robots, given_ns)
@@ -237,16 +237,20 @@ class ChangeUnderWay:
                 state.say(operator.mission)
 
 
-def ago_s(content: Mapping[str, Any]) -> float:
-    """How long ago a page's order was given, s: a page says it again until it is heard.
+def given_ns(content: Mapping[str, Any], now_ns: int) -> int:
+    """When a page's order was given, by this clock (ns): it tells when the frame was made that it showed then
+    (`SEEN`), however long it has been on its way since.
 
     Raises:
-        RefusedError: it says something else.
+        RefusedError: it does not tell, or that was too long ago: what is wanted now may be another thing.
     """
-    ago = content.get(AGO, 0.0)
-    if isinstance(ago, bool) or not isinstance(ago, int | float) or not 0.0 <= ago <= AGO_S_MAX:
-        raise RefusedError(f"{AGO}: not for how long it has been on its way, in s, {AGO_S_MAX:g} at most")
-    return float(ago)
+    seen_s = content.get(SEEN)
+    if not isinstance(seen_s, float):
+        raise RefusedError(f"{SEEN}: not when the frame was made that the page showed, in s")
+    age_s = now_ns / NS_PER_S - seen_s
+    if not abs(age_s) <= SEEN_S_MAX:  # not so for NaN
+        raise RefusedError("given by what the page showed too long ago; look, and order again")
+    return min(now_ns, round(seen_s * NS_PER_S))
 
 
 def order_of(content: Mapping[str, Any], ids: Sequence[int]) -> OrderSection:
@@ -255,7 +259,7 @@ def order_of(content: Mapping[str, Any], ids: Sequence[int]) -> OrderSection:
     Raises:
         RefusedError: it is none.
     """
-    fields = {key: value for key, value in content.items() if key != AGO}
+    fields = {key: value for key, value in content.items() if key != SEEN}
     try:
         return read_orders({"order": [{"at": 0.0, **fields}]}, ids)[0]
     except ScenarioError as error:

@@ -172,7 +172,7 @@ def _stops(fleet: Fleet, address: str, count: int) -> list[float]:
             _say(talk, {"id": f"stop {number}", "kind": "stop"})
             _until(fleet, bus, driving=False)
             found.append((time.monotonic() - begun) * 1e3)
-            _say(talk, {"id": f"resume {number}", "kind": "resume"})
+            _say(talk, {"id": f"resume {number}", "kind": "resume", "seen_s": time.time()})
     return found
 
 
@@ -182,7 +182,7 @@ def _read(talk: ClientConnection) -> None:
         talk.send(str(number + 1))
 
 
-def _say(talk: ClientConnection, order: dict[str, str]) -> None:
+def _say(talk: ClientConnection, order: dict[str, str | float]) -> None:
     talk.send(json.dumps({"order": order}))
 
 

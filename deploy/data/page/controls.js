@@ -3,7 +3,7 @@ import { element, LEVELS, Links } from "handfast/panels.js";
 import { Reshape } from "handfast/reshape.js";
 
 const AGAIN_MS = 300; // an order that the server has not been heard to know is said again
-const LATE_MS = 10_000;
+const LATE_MS = 3000; // as deploy/view/orders.py: after so long the server would refuse it
 const AT_ONCE = 4; // of those that wait, so many are said again at a time
 const SHOWN = 6;
 const FAULTS = [
@@ -66,9 +66,7 @@ export class Controls {
         this.lost.push({ id, what: order.kind, over: true, done: false, lines: ["the server was not reached in time"] });
       }
     }
-    for (const { order, given } of [...this.pending.values()].slice(0, AT_ONCE)) {
-      this.source.say({ order: { ...order, ago_s: (now - given) / 1000 } });
-    }
+    for (const { order } of [...this.pending.values()].slice(0, AT_ONCE)) this.source.say({ order });
     if (this.pending.size) this.show();
   }
 

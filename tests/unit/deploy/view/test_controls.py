@@ -17,7 +17,7 @@ from deploy.view.controls import ID_MAX, KNOWN_MAX, LINES_MAX, REASON_MAX, SHOWN
 from deploy.view.orders import RefusedError
 from tests.unit.deploy.orders.order_fleets import S
 from tests.unit.deploy.view.running import FLEET, Running
-from tests.unit.deploy.view.test_orders import Way, begun, brake
+from tests.unit.deploy.view.test_orders import Way, begun, brake, stopped
 
 ALL = FLEET.ids
 
@@ -38,6 +38,10 @@ class Made:
 
     def _tell(self, told: Sequence[dict[str, Any]]) -> None:
         self.told = json.loads(json.dumps(told))
+
+    def take(self, content: dict[str, Any]) -> None:
+        """What a page says that shows the fleet as it is, unless it says otherwise."""
+        self.controls.take({"seen_s": self.running.clock.ns / S, **content})
 
     def step(self, after_ns: int = S // 20) -> None:
         self.running.step(after_ns)
@@ -95,24 +99,24 @@ def test_an_order_is_given_once_however_often_it_is_said(
     made: Made, content: dict[str, Any], kind: type[Message]
 ) -> None:
     for _ in range(3):
-        made.controls.take({"id": "a", **content})
+        made.take({"id": "a", **content})
         made.step()
     assert len({each.version for each in made.running.of(kind)}) == 1
     assert [each["id"] for each in made.told] == ["a"]
-    made.controls.take({"id": "b", **content})
+    made.take({"id": "b", **content})
     assert [each["id"] for each in made.told] == ["a", "b"]
 
 
 def test_one_of_the_same_name_is_the_same_whatever_else_it_says(made: Made) -> None:
-    made.controls.take({"id": "a", "kind": "leave", "robot": 4})
-    made.controls.take({"id": "a", "kind": "leave", "robot": 3})
-    made.controls.take({"id": "a", "kind": "stop"})
+    made.take({"id": "a", "kind": "leave", "robot": 4})
+    made.take({"id": "a", "kind": "leave", "robot": 3})
+    made.take({"id": "a", "kind": "stop"})
     assert len(made.running.of(Mission)) == 1
     assert made.running.of(Stop) == []
 
 
 def test_a_stop_is_told_as_it_goes(made: Made) -> None:
-    made.controls.take({"id": "a", "kind": "stop"})
+    made.take({"id": "a", "kind": "stop"})
     assert len(made.running.of(Stop)) == 1  # before anything else is done
     (way,) = made.ways
     assert len(way.sent) == 1
@@ -130,12 +134,12 @@ def test_a_stop_is_told_as_it_goes(made: Made) -> None:
 
 
 def test_what_became_of_what_is_over_does_not_change(made: Made) -> None:
-    made.controls.take({"id": "a", "kind": "stop"})
+    made.take({"id": "a", "kind": "stop"})
     brake(made.running, made.running.of(Stop)[0].version, *ALL)
     made.step()
     over = made.of("a")
     assert over["done"]
-    made.controls.take({"id": "b", "kind": "stop"})
+    made.take({"id": "b", "kind": "stop"})
     for robot in ALL:
         made.running.status(robot, "running", order_version=made.running.of(Stop)[-1].version)
         made.running.body(robot)
@@ -147,7 +151,7 @@ def test_what_became_of_what_is_over_does_not_change(made: Made) -> None:
 def test_one_that_ends_by_itself_between_two_looks_is_told_to_be_over(made: Made) -> None:
     scripted = Scripted()
     made.controls.kinds["test"] = lambda _: scripted
-    made.controls.take({"id": "a", "kind": "test"})
+    made.take({"id": "a", "kind": "test"})
     made.step()
     assert not made.of("a")["over"]
     scripted.is_over = scripted.done = True
@@ -161,7 +165,7 @@ def test_one_that_ends_by_itself_between_two_looks_is_told_to_be_over(made: Made
 def test_what_comes_is_for_those_that_are_not_over(made: Made) -> None:
     scripted = Scripted()
     made.controls.kinds["test"] = lambda _: scripted
-    made.controls.take({"id": "a", "kind": "test"})
+    made.take({"id": "a", "kind": "test"})
     made.running.status(1)
     made.step()
     assert scripted.heard == 1
@@ -177,13 +181,13 @@ def test_what_comes_is_for_those_that_are_not_over(made: Made) -> None:
 
 def test_so_many_are_told_and_the_others_again_when_they_are_said_again(made: Made) -> None:
     for number in range(SHOWN_MAX + 3):
-        made.controls.take({"id": str(number), "kind": "nothing"})
+        made.take({"id": str(number), "kind": "nothing"})
     assert [each["id"] for each in made.told] == [str(number) for number in range(3, SHOWN_MAX + 3)]
-    made.controls.take({"id": "0", "kind": "nothing"})  # its page has not been told
+    made.take({"id": "0", "kind": "nothing"})  # its page has not been told
     assert made.told[-1]["id"] == "0"
     assert len(made.told) == SHOWN_MAX
     before = list(made.told)
-    made.controls.take({"id": "5", "kind": "nothing"})
+    made.take({"id": "5", "kind": "nothing"})
     assert made.told == before
 
 
@@ -199,13 +203,13 @@ def test_so_many_are_known(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
 
     made.controls.kinds["test"] = note
     made.controls.kinds["lasts"] = lambda _: scripted
-    made.controls.take({"id": "lasts", "kind": "lasts"})
+    made.take({"id": "lasts", "kind": "lasts"})
     for number in range(21):
-        made.controls.take({"id": str(number), "kind": "test"})
+        made.take({"id": str(number), "kind": "test"})
     for number in range(20, 0, -1):
-        made.controls.take({"id": str(number), "kind": "test"})
+        made.take({"id": str(number), "kind": "test"})
     assert len(count) == 21
-    made.controls.take({"id": "0", "kind": "test"})
+    made.take({"id": "0", "kind": "test"})
     assert len(count) == 22  # forgotten
     made.step()
     assert scripted.steps == 1  # what is not over is not
@@ -213,8 +217,8 @@ def test_so_many_are_known(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_so_many_lines_are_told(made: Made) -> None:
     made.controls.kinds["test"] = lambda content: Scripted(content["lines"])
-    made.controls.take({"id": "a", "kind": "test", "lines": LINES_MAX})
-    made.controls.take({"id": "b", "kind": "test", "lines": LINES_MAX + 4})
+    made.take({"id": "a", "kind": "test", "lines": LINES_MAX})
+    made.take({"id": "b", "kind": "test", "lines": LINES_MAX + 4})
     assert made.of("a")["lines"] == [f"line {number}" for number in range(LINES_MAX)]
     assert made.of("b")["lines"] == [*made.of("a")["lines"], "and 4 more"]
 
@@ -225,17 +229,17 @@ def test_so_many_lines_are_told(made: Made) -> None:
 def test_what_has_no_name_is_not_taken(made: Made) -> None:
     names: list[Any] = [None, "", 1, 1.5, True, [], {}, "x" * (ID_MAX + 1)]
     for name in names:
-        made.controls.take({"id": name, "kind": "stop"})
-    made.controls.take({"kind": "stop"})
-    made.controls.take({})
+        made.take({"id": name, "kind": "stop"})
+    made.take({"kind": "stop"})
+    made.take({})
     assert (made.told, made.running.bus.said) == ([], [])
-    made.controls.take({"id": "x" * ID_MAX, "kind": "stop"})
+    made.take({"id": "x" * ID_MAX, "kind": "stop"})
     assert len(made.told) == 1
 
 
 @pytest.mark.parametrize("kind", ["dance", "", "Stop", None, 1, [], {}, ["stop"], "x" * 10_000])
 def test_what_cannot_be_ordered_is_refused(made: Made, kind: object) -> None:
-    made.controls.take({"id": "a", "kind": kind})
+    made.take({"id": "a", "kind": kind})
     about = made.of("a")
     assert (about["over"], about["done"]) == (True, False)
     assert about["lines"] == [
@@ -252,18 +256,34 @@ def test_what_cannot_be_ordered_is_refused(made: Made, kind: object) -> None:
         ({"kind": "leave", "robot": 99}, "robot: there is no robot 99"),
         ({"kind": "leave", "robot": 4, "scale": 2}, "scale: "),
         ({"kind": "leave", "robot": 4, "dance": 1}, "dance: "),
-        ({"kind": "resume", "ago_s": "long"}, "ago_s: "),
+        ({"kind": "resume", "seen_s": "now"}, "seen_s: "),
+        ({"kind": "leave", "robot": 4, "seen_s": None}, "seen_s: "),
+        ({"kind": "leave", "robot": 4, "seen_s": 1.0}, "too long ago"),
         ({"kind": "leave", "robot": 7}, "cannot be done: "),
     ],
 )
 def test_what_is_wrong_with_an_order_is_told_in_one_line(
     made: Made, content: dict[str, Any], why: str
 ) -> None:
-    made.controls.take({"id": "a", **content})
+    made.take({"id": "a", **content})
     (line,) = made.of("a")["lines"]
     assert why in line
     assert made.of("a")["over"]
     assert made.running.bus.said == []
+
+
+def test_a_resume_that_waited_on_its_way_lifts_no_stop_that_was_given_since(made: Made) -> None:
+    """As in the buffer of a server that stood, or of a tunnel."""
+    order = {"id": "a", "kind": "resume", "seen_s": made.running.clock.ns / S}
+    made.step(S)
+    stopped(made.running, 0)
+    made.step(S)
+    made.controls.take(order)
+    assert "somebody has just said stop" in made.of("a")["lines"][0]
+    made.step(3 * S)
+    made.controls.take(order | {"id": "b"})
+    assert "too long ago" in made.of("b")["lines"][0]
+    assert made.running.of(Resume) == []
 
 
 def test_a_stop_is_given_whatever_else_is_said_with_it(made: Made) -> None:
@@ -272,13 +292,14 @@ def test_a_stop_is_given_whatever_else_is_said_with_it(made: Made) -> None:
         {"reason": None},
         {"reason": ["x"]},
         {"robot": 99},
-        {"ago_s": "x"},
+        {"seen_s": "x"},
+        {"seen_s": 1.0},
         {"more": {}},
     ]
     for number, more in enumerate(mores):
-        made.controls.take({"id": str(number), "kind": "stop", **more})
+        made.take({"id": str(number), "kind": "stop", **more})
         assert len({each.version for each in made.running.of(Stop)}) == number + 1
-    made.controls.take({"id": "long", "kind": "stop", "reason": "x" * 5_000})
+    made.take({"id": "long", "kind": "stop", "reason": "x" * 5_000})
     assert len(made.of("long")["what"]) <= REASON_MAX + len("stop: ")
 
 
@@ -304,7 +325,7 @@ FIELDS = (
     "offset_m",
     "reason",
     "at",
-    "ago_s",
+    "seen_s",
 )
 KINDS = ("stop", "resume", "join", "leave", "replace", "remove", "reshape")
 
@@ -313,7 +334,7 @@ KINDS = ("stop", "resume", "join", "leave", "replace", "remove", "reshape")
 @given(st.sampled_from(KINDS), st.dictionaries(st.sampled_from(FIELDS), VALUES, max_size=4))
 def test_whatever_a_page_says_is_given_or_refused(made: Made, kind: str, fields: dict[str, Any]) -> None:
     made.running.bus.said.clear()
-    made.controls.take({"id": "a", "kind": kind, **fields})
+    made.take({"id": "a", "kind": kind, **fields})
     about = made.of("a")
     if "count" not in about:  # refused
         assert about["over"]

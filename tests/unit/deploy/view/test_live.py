@@ -48,7 +48,7 @@ class Served(Running):
     def order(self, **content: Any) -> dict[str, Any]:
         """What is told of an order at once."""
         assert self.server.controls is not None
-        self.server.controls.take(content)
+        self.server.controls.take({"seen_s": self.clock.ns / 1e9, **content})
         found: dict[str, Any] = self.part("orders")[-1]
         return found
 

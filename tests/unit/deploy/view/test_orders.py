@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from math import nan
+from math import inf, nan
 from typing import Any
 
 import pytest
@@ -17,13 +17,13 @@ from deploy.orders.stop_outcome import Stopping, again_s
 from deploy.session.session import ANSWER_S
 from deploy.session.stop import WAIT_S
 from deploy.view.orders import (
-    AGO_S_MAX,
+    SEEN_S_MAX,
     ChangeUnderWay,
     RefusedError,
     ResumeUnderWay,
     StopUnderWay,
     UnderWay,
-    ago_s,
+    given_ns,
     order_of,
 )
 from tests.unit.deploy.orders.order_fleets import S, order
@@ -195,7 +195,7 @@ def stopped(running: Running, before_ns: int) -> Stop:
 
 def test_a_resume_is_said_until_all_drive(running: Running) -> None:
     stop = stopped(running, 5 * S)
-    resume = ResumeUnderWay(running.state, ())
+    resume = ResumeUnderWay(running.state, (), running.clock.ns)
     follow(running, resume)
     (said,) = running.of(Resume)
     assert said.version > stop.version
@@ -220,7 +220,7 @@ def test_a_resume_is_said_until_all_drive(running: Running) -> None:
 
 def test_a_resume_of_one_robot_is_for_that_alone(running: Running) -> None:
     stopped(running, 5 * S)
-    resume = ResumeUnderWay(running.state, (3,))
+    resume = ResumeUnderWay(running.state, (3,), running.clock.ns)
     assert resume.what == "resume 3"
     assert resume.count == (0, 1)
     assert running.of(Resume)[0].robots == (3,)
@@ -233,31 +233,36 @@ def test_a_resume_does_not_lift_a_stop_that_was_given_since(running: Running) ->
     """One that was on its way for a while, over a connection that was lost; or somebody's clock is ahead."""
     stopped(running, 2 * S)
     with pytest.raises(RefusedError, match="somebody has just said stop; resume again to lift that"):
-        ResumeUnderWay(running.state, (), ago_s=3.0)
+        ResumeUnderWay(running.state, (), running.clock.ns - 3 * S)
     assert running.of(Resume) == []
-    ResumeUnderWay(running.state, (), ago_s=1.0)
+    ResumeUnderWay(running.state, (), running.clock.ns - S)
     assert len(running.of(Resume)) == 1
 
 
 def test_a_resume_right_after_a_stop_is_refused(running: Running) -> None:
     stopped(running, -S // 10)
     with pytest.raises(RefusedError, match="just said stop"):
-        ResumeUnderWay(running.state, ())
+        ResumeUnderWay(running.state, (), running.clock.ns)
 
 
-def test_how_long_an_order_was_on_its_way() -> None:
-    assert ago_s({}) == 0.0
-    assert ago_s({"ago_s": 2}) == 2.0
-    wrongs: list[Any] = [-0.1, nan, True, "1", None, [], AGO_S_MAX + 1, 10**400]
-    for wrong in wrongs:
-        with pytest.raises(RefusedError, match="ago_s: "):
-            ago_s({"ago_s": wrong})
+def test_when_an_order_was_given() -> None:
+    now_ns = 1_790_000_000 * S
+    assert given_ns({"seen_s": now_ns / S - 0.5}, now_ns) == now_ns - S // 2
+    assert given_ns({"seen_s": now_ns / S + 0.5}, now_ns) == now_ns, "its clock was set back meanwhile"
+    for wrong in (True, "1", None, [], 10**400, 1_790_000_000):
+        with pytest.raises(RefusedError, match="seen_s: "):
+            given_ns({"seen_s": wrong}, now_ns)
+    for seen_s in (now_ns / S - SEEN_S_MAX - 0.1, now_ns / S + SEEN_S_MAX + 0.1, nan, inf, 0.0):
+        with pytest.raises(RefusedError, match="too long ago"):
+            given_ns({"seen_s": seen_s}, now_ns)
+    with pytest.raises(RefusedError, match="seen_s: "):
+        given_ns({}, now_ns)
 
 
 @pytest.mark.parametrize(
     "give",
     [
-        lambda running: ResumeUnderWay(running.state, ()),
+        lambda running: ResumeUnderWay(running.state, (), running.clock.ns),
         lambda running: ChangeUnderWay(running.state, order("leave", robot=4)),
     ],
 )
@@ -406,7 +411,7 @@ def test_what_cannot_be_done_is_refused_and_not_said(running: Running, given: Or
 
 def test_an_order_of_a_page_is_one_of_a_fleet_file() -> None:
     assert order_of({"kind": "leave", "robot": 4}, ALL) == order("leave", robot=4)
-    assert order_of({"kind": "resume", "ago_s": 0.5}, ALL) == order("resume")
+    assert order_of({"kind": "resume", "seen_s": 0.5}, ALL) == order("resume")
 
 
 @pytest.mark.parametrize(
