@@ -24,11 +24,13 @@ CHANGED: Final = "state"
 
 
 class Happening(NamedTuple):
-    """Something that happened: `ORDERED` or `CHANGED`, in words, to which robots (none: to all)."""
+    """Something that happened: `ORDERED` or `CHANGED`, in words, to which robots (none: to all), and when an
+    order was given (ns, wall clock), 0 for what has happened since the last look."""
 
     kind: str
     text: str
     robots: tuple[int, ...] = ()
+    time_ns: int = 0
 
 
 class News:
@@ -42,7 +44,8 @@ class News:
         self._states: dict[int, str] = {}
         self._away: dict[int, str] = {}
         """Robots that do not drive although others do, and how it is said that they do again."""
-        self._orders: list[str] = []
+        self._orders: list[tuple[str, int]] = []
+        """What was ordered or is worth knowing, and when it was given, 0: now."""
         self._changes: list[tuple[int, str, str, str]] = []
         self._remarks: set[str] = set()
 
@@ -50,14 +53,14 @@ class News:
         """Takes a mission, stop or resume that is newer than those before."""
         if type(message) is Mission:
             self._duration_s = message.duration_ns / NS_PER_S
-            self._orders += [message.note] if message.note else []
+            self._orders += [(message.note, message.time_ns)] if message.note else []
         elif type(message) is Stop:
             why = f": {message.reason}" if message.reason else ""
-            self._orders.append(f"every robot is told to stop{why}")
+            self._orders.append((f"every robot is told to stop{why}", message.time_ns))
         else:
             assert type(message) is Resume
             who = robots(message.robots) if message.robots else "all robots"
-            self._orders.append(f"{who} may drive again")
+            self._orders.append((f"{who} may drive again", message.time_ns))
 
     def state(self, robot: int, state: str, reason: str) -> None:
         """Takes the state that a robot reports, and why, again and again."""
@@ -71,11 +74,11 @@ class News:
         text = f"{robots([robot])}: {text}"
         if text not in self._remarks:
             self._remarks.add(text)
-            self._orders.append(text)
+            self._orders.append((text, 0))
 
     def happenings(self, time_s: float | None) -> list[Happening]:
         """What happened since the last call; `time_s` is the fleet time, None before the epoch is set."""
-        said = [Happening(ORDERED, text) for text in self._orders]
+        said = [Happening(ORDERED, text, time_ns=time_ns) for text, time_ns in self._orders]
         self._orders = []
         told = dict.fromkeys(
             (self._words(robot, before, state, reason, time_s), robot)

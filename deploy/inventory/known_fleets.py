@@ -211,6 +211,11 @@ def unreadable() -> list[str]:
     return entries()[1] + fleets_up()[1]
 
 
+def is_driven(folder: Path) -> bool:
+    """Whether a process of this user drives what is recorded in `folder`, a run's."""
+    return bool(_with_run(lambda run: Path(run.folder).resolve() == folder.resolve()))
+
+
 def _with_run(look: Callable[[Running], bool]) -> list[KnownFleet]:
     """The fleets that have a run of this kind; with its own file, where several drive them."""
     return [

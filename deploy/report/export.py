@@ -64,13 +64,22 @@ class ExportError(RecordingError):
     """An export that cannot be made; the text is one line."""
 
 
-def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | None = None) -> list[Path]:
+def export(
+    folder: str | PathLike[str],
+    format: str,
+    out: str | PathLike[str] | None = None,
+    *,
+    warn: Callable[[str], None] = lambda _: None,
+) -> list[Path]:
     """Write the run in `folder` to the folder `out` (its own ``export`` unless given): its tables, or, in a
     folder ``rosbag2`` there, a bag of ROS 2.
 
     Tables: ``hands``, ``plants``, ``wrenches``, ``multipliers``, ``statuses`` (one row per message),
     ``distances`` (one per edge and period of the fleet), ``links`` (one per decision of a fault rule) when
     there was one, and ``truths`` when plants measure with noise.
+
+    Args:
+        warn: told what of the recording could not be read, a line each.
 
     Raises:
         ExportError: unknown format, no pyarrow, or not writable; one line. It is a `RecordingError`.
@@ -81,7 +90,10 @@ def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | 
     if format not in FORMATS:
         raise ExportError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
     write = _bag_writer() if format == BAG else _tables_writer(format)
-    result = RunResult(read_run(folder))
+    recording = read_run(folder)
+    for warning in recording.warnings:
+        warn(warning)
+    result = RunResult(recording)
     target = Path(folder) / FOLDER if out is None else Path(out)
     try:
         return write(result, target)

@@ -27,6 +27,7 @@ class LiveFaults:
 
     Attributes:
         held: who holds which rules.
+        healed_ns: when all rules were ended from here last.
     """
 
     def __init__(self, state: FleetState, bus: OperatorBus) -> None:
@@ -35,6 +36,7 @@ class LiveFaults:
         self.held: Final = Held(state.fleet)
         self._state, self._bus = state, bus
         self._key = key_expressions.faults(state.fleet.fleet.name)
+        self.healed_ns = 0
         self._version = self._authors = 0
         bus.declare(self._key)
 
@@ -98,6 +100,7 @@ class FaultUnderWay:
             raise RefusedError("; ".join(str(error).splitlines())) from None
         self._faults = faults
         self._putting = Putting(faults, [rule], text, lambda: False, io.StringIO(), stay=False)
+        self._begun_ns = faults.now_ns()
         self._healed_ns: int | None = None
         self.is_over = self.done = False
         self.what: Final = self._putting.what
@@ -111,11 +114,16 @@ class FaultUnderWay:
         missing = self._putting.missing
         lines = [f"not held by {names(missing)}"] if missing else []
         if self._putting.cleared:
-            return [*lines, "ended by another operator"]
+            return [*lines, "healed" if self._is_healed else "ended by another operator"]
         if self.is_over and (left := self._putting.holders):
             lease_s = LEASE_NS / NS_PER_S
             return [*lines, f"not heard to be healed: {names(left)}; the lease ends in {lease_s:.0f} s"]
         return lines
+
+    @property
+    def _is_healed(self) -> bool:
+        """Whether it was ended from here, on purpose."""
+        return self._faults.healed_ns > self._begun_ns
 
     def feed(self, now_ns: int, key: str, message: Message) -> None:
         """Nothing: `LiveFaults` hears for all."""
@@ -129,7 +137,8 @@ class FaultUnderWay:
                 self._putting.take_back()
         if not self._putting.holders or now_ns - self._healed_ns > ECHO_S * NS_PER_S:
             self.is_over = True
-            self.done = not self._putting.missing and not self._putting.cleared and not self._putting.holders
+            as_meant = self._is_healed or not self._putting.cleared
+            self.done = as_meant and not self._putting.missing and not self._putting.holders
 
 
 class HealUnderWay:
@@ -143,6 +152,7 @@ class HealUnderWay:
         self._sets = faults.sets()
         if not self._sets:
             raise RefusedError("there are no live faults")
+        faults.healed_ns = now_ns
         faults.send(Faults(faults.version(), now_ns, EVERY_AUTHOR, now_ns, 0, ""))
         self.is_over = False
 

@@ -16,7 +16,7 @@ from agent.messages.types import Message
 from deploy.drive.attached import Attached
 from deploy.drive.fleet_state import FleetState
 from deploy.drive.preconditions import clock, why
-from deploy.drive.watch import Picture
+from deploy.drive.watch import Picture, fleet_time_s
 from deploy.playback.looks import SILENT
 from deploy.playback.marks import FAULT, VIOLATION, Mark
 from deploy.playback.scene import ground
@@ -109,7 +109,7 @@ class LiveFleet:
             if role == "plant":
                 self.motion.forget(robot)
         for each in self.watch.happenings(self.t_s):
-            self._event(each.kind, each.text, each.robots)
+            self._event(each.kind, each.text, each.robots, each.time_ns)
         self._rows = self.motion.look(now_ns, self.t_s)
         self._made_s = now_ns / NS_PER_S
         self.number += 1
@@ -137,12 +137,16 @@ class LiveFleet:
         self._near.clear()
         self._edges_of = None
 
-    def _event(self, kind: str, text: str, robots: Sequence[int] = ()) -> None:
+    def _event(self, kind: str, text: str, robots: Sequence[int] = (), time_ns: int = 0) -> None:
+        """Notes what happened, at a time of the wall clock, 0: now."""
         events = self.logs["events"]
         if len(events) == EVENTS_MAX:
             text, robots = "more happened than is kept here", ()
         if len(events) <= EVENTS_MAX:
-            t_s = 0.0 if self.t_s is None else round(self.t_s, 3)
+            t_s = 0.0 if self.t_s is None else self.t_s
+            if time_ns:  # what was ordered before anybody looked from here is heard only now
+                t_s = min(t_s, fleet_time_s(time_ns, self.fleet_state.epoch_ns) or 0.0)
+            t_s = round(t_s, 3)
             events.append(Mark(t_s, None, kind, text, tuple(robots))._asdict())
 
     def _look_for_near(self) -> None:

@@ -100,6 +100,16 @@ def test_a_click_on_what_happened_goes_there(address: str, tmp_path: Path) -> No
         expect(page.locator("#robots tr.chosen td").first).to_have_text("3")
 
 
+def test_a_link_leads_to_the_moment(address: str, tmp_path: Path) -> None:
+    with opened(tmp_path) as page:
+        page.goto(f"{address}#t=7.50")
+        ready(page)
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("l")
+        expect(page.locator("#link")).to_have_text("copied")
+        assert page.evaluate("location.hash") == "#t=7.520"
+
+
 def test_it_plays_as_fast_as_it_is_told(address: str, tmp_path: Path) -> None:
     with opened(tmp_path) as page:
         page.goto(address)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from agent.common.exit import PASSED
@@ -22,6 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _export(options: argparse.Namespace) -> int:
     from deploy.report.export import export
 
-    for path in export(Path(options.folder), options.format, Path(options.out) if options.out else None):
+    out = Path(options.out) if options.out else None
+    for path in export(Path(options.folder), options.format, out, warn=_warn):
         print(path)
     return PASSED
+
+
+def _warn(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr)

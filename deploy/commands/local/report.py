@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from agent.common.exit import INTERRUPTED
-from deploy.console.arguments import figures_argument
+from deploy.console.arguments import InputError, figures_argument
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import conclude, say_left_out
 
@@ -19,9 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
+    from deploy.inventory.known_fleets import is_driven
     from deploy.report.run_folder import rebuild
 
     folder, interrupt = Path(options.folder), Interrupt()
+    if is_driven(folder):
+        raise InputError(f"{folder}: this run is still being driven; its report is made at its end")
     result = rebuild(folder, options.figures, interrupt=interrupt)
     status = conclude(result, folder)
     say_left_out(folder)

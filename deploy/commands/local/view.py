@@ -71,8 +71,10 @@ def _port(text: str) -> int:
 def _view(options: argparse.Namespace) -> int:
     if options.beside:
         return _started(options)
+    from deploy.inventory.known_fleets import is_driven
+
     folder = Path(options.what)
-    if not folder.is_dir() or _is_running(folder) or _is_fleet(options.what):
+    if not folder.is_dir() or is_driven(folder) or _is_fleet(options.what):
         return _live(options)
     given = {
         "--listen": options.listen is not None,
@@ -90,13 +92,6 @@ def _is_fleet(what: str) -> bool:
     from deploy.inventory.known_fleets import known
 
     return not (Path(what) / RECORDING_FILE).exists() and (what in bundled(FLEETS) or bool(known(what)))
-
-
-def _is_running(folder: Path) -> bool:
-    """Whether a process of this user drives what is recorded there."""
-    from deploy.inventory.known_fleets import known
-
-    return any(Path(run.folder).resolve() == folder.resolve() for fleet in known() for run in fleet.runs)
 
 
 def _recorded(options: argparse.Namespace, folder: Path) -> int:

@@ -83,7 +83,9 @@ export class Controls {
       for (const { id } of orders) this.pending.delete(id);
     }
     if (panel) {
-      const text = panel.stop || (panel.present[0] < panel.present[1] ? `${panel.present[0]} of ${panel.present[1]} processes there` : "");
+      const [here, all] = panel.present;
+      const gone = here ? "" : "no process of the fleet is there any more: its drive is over, or it is out of reach";
+      const text = gone || panel.stop || (here < all ? `${here} of ${all} processes there` : "");
       if (find("standing").textContent !== text) find("standing").textContent = text;
       find("resume").hidden = !panel.stop || !this.may.has("resume");
     }

@@ -338,6 +338,17 @@ export class Live {
     return [panel.notes[this.scene.robots[robot].id], ...lines].filter(Boolean).join("; ");
   }
 
+  // The earliest moment that is known here.
+  get begin() {
+    return this.count ? this.rows[0] : 0;
+  }
+
+  // What the page shows: what is now, or what was.
+  how(t, follows) {
+    if (follows) return "live";
+    return `looking back ${Math.max(0, (this.now ?? this.end) - t).toFixed(0)} s (the list of links is of now)`;
+  }
+
   timeText(t, follows) {
     if (!follows) return `${t.toFixed(2)} of ${this.end.toFixed(1)} s`;
     if (this.now === null) return "no mission yet";

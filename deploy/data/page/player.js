@@ -17,7 +17,7 @@ export function problem(text) {
 export class Player {
   constructor(source) {
     const { scene } = source;
-    Object.assign(this, { source, scene, t: 0, speed: 1, playing: false, toldAt: 0, chosen: null });
+    Object.assign(this, { source, scene, t: 0, speed: 1, playing: false, toldAt: 0, saidAt: 0, chosen: null });
     this.link = null;
     this.follows = Boolean(source.live); // what is now, as long as nobody looks back
     const seek = (t, mark) => this.seek(t, mark);
@@ -43,8 +43,9 @@ export class Player {
     const { scene } = this;
     document.title = `${scene.fleet} – handfast`;
     find("title").textContent = scene.fleet;
-    const how = this.source.live ? "live" : scene.mode === "simulate" ? "in virtual time" : "recorded";
-    find("about").textContent = `${scene.robots.length} robots, ${scene.law}, ${how}`;
+    const how = this.source.live ? this.source.how(this.t, this.follows) : scene.mode === "simulate" ? "in virtual time" : "recorded";
+    const about = `${scene.robots.length} robots, ${scene.law}, ${how}`;
+    if (find("about").textContent !== about) find("about").textContent = about;
     find("now").hidden = !this.source.live;
     if (this.source.live) return;
     const verdict = find("verdict");
@@ -92,7 +93,7 @@ export class Player {
     document.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       if (["SELECT", "INPUT"].includes(event.target.tagName)) return;
-      if (event.key === "Home") this.seek(0);
+      if (event.key === "Home") this.seek(this.source.begin || 0);
       else if (event.key === "End") this.source.live ? this.now() : this.seek(this.source.end);
       else if (keys[event.key] && !(event.key === " " && event.target.tagName === "BUTTON")) actions[keys[event.key]]();
       else return;
@@ -117,6 +118,7 @@ export class Player {
 
   buttons() {
     find("play").textContent = this.playing || this.follows ? "pause" : "play";
+    document.body.classList.toggle("back", Boolean(this.source.live) && !this.follows);
     find("now").setAttribute("aria-pressed", this.follows);
   }
 
@@ -200,6 +202,10 @@ export class Player {
       find("time").textContent = this.source.timeText(this.t, this.follows);
       this.legend();
       document.body.dataset.exact = frame.exact;
+    }
+    if (this.source.live && now - this.saidAt >= PANELS_MS) {
+      this.saidAt = now;
+      this.about();
     }
     if (look !== this.told && now - this.toldAt >= PANELS_MS) {
       this.told = look;

@@ -132,7 +132,7 @@ def test_what_happened_is_told_with_its_kind_and_its_robots_once() -> None:
         made.state(robot, "degraded", "without robot 2")
     made.state(2, "fault", "plant silent")
     assert made.happenings(7.0) == [
-        Happening(ORDERED, "every robot is told to stop: a person"),
+        Happening(ORDERED, "every robot is told to stop: a person", time_ns=EPOCH),
         Happening(ORDERED, "robot 2: battery low"),
         Happening(CHANGED, "robots 1 and 3 are degraded: without robot 2", (1, 3)),
         Happening(CHANGED, "robot 2 is in fault: plant silent", (2,)),

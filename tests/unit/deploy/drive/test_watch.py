@@ -81,7 +81,9 @@ def test_what_happened_is_told_once() -> None:
     watch = Watch(fleet, resolve(fleet))
     watch.feed(key_expressions.stop("square"), Stop(3, EPOCH, "a person"))
     watch.feed(key_expressions.relayed("square", 1), Stop(3, EPOCH, "a person"))
-    assert watch.happenings(1.0) == [Happening(ORDERED, "every robot is told to stop: a person")]
+    assert watch.happenings(1.0) == [
+        Happening(ORDERED, "every robot is told to stop: a person", time_ns=EPOCH)
+    ]
     assert watch.happenings(1.0) == []
     assert watch.news(1.0) == []
 

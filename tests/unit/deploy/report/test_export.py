@@ -11,7 +11,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from agent.common.exit import PASSED
 from agent.messages.codec import encode
+from deploy.cli import main
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.report.export import ExportError, export, tabulate
@@ -113,6 +115,19 @@ def test_the_truth_has_a_table_of_its_own_where_there_is_one(tmp_path: Path) -> 
 def test_columns_of_a_table_have_one_length(run: Path) -> None:
     for name, columns in tabulate(RunResult(read_run(run))).items():
         assert len({len(column) for column in columns.values()}) == 1, name
+
+
+def test_what_of_a_damaged_recording_is_missing_is_said(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", str(run)]) == PASSED
+    assert capsys.readouterr().err == ""
+    recorded = run / "run.mcap"
+    recorded.write_bytes(recorded.read_bytes()[:-200])
+    assert main(["export", str(run), "--out", str(run / "again")]) == PASSED
+    err = capsys.readouterr().err
+    assert err.startswith("warning: ")
+    assert "cut short or damaged" in err
 
 
 def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

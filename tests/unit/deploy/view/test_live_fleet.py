@@ -297,6 +297,14 @@ def test_two_that_come_too_near_are_marked_once(running: Running) -> None:
     assert len(approach(running, SAFE_M * 0.95)) == 2
 
 
+def test_what_was_ordered_before_anybody_looked_is_marked_when_it_was(running: Running) -> None:
+    running.begin(since_s=10.0)
+    running.bus.put(key_expressions.stop(NAME), Stop(3, running.clock.ns - 4 * S, "a person"))
+    running.step()
+    (mark,) = [each for each in running.live.logs["events"] if each["kind"] == "order"]
+    assert mark["t_s"] == pytest.approx(6.0, abs=0.01)
+
+
 def test_more_events_than_are_kept_are_left_out_and_that_is_said(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.exit import INTERRUPTED, PASSED
+from agent.common.exit import BAD_INPUT, INTERRUPTED, PASSED
 from agent.messages.codec import encode
 from deploy.cli import main
+from deploy.inventory.registry import Registration
 from deploy.report import figures
 from deploy.report.run_folder import RunFolder
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages
@@ -45,3 +46,11 @@ def test_a_ctrl_c_leaves_figures_out(
     said = capfd.readouterr()
     assert (folder / "report.html").exists()
     assert "left out" not in said.out
+
+
+def test_a_run_that_is_still_driven_gets_none(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with Registration(PAIR.fleet.name, folder, folder / "fleet.toml"):
+        assert main(["report", str(folder)]) == BAD_INPUT
+    assert "this run is still being driven" in capfd.readouterr().err
+    assert not (folder / "report.html").exists()
+    assert main(["report", str(folder)]) == PASSED
