@@ -10,7 +10,10 @@ from typing import Any, Final
 
 from deploy.console.data_files import PAGE
 
-PLAYER: Final = ("main.js", "player.js", "plan.js", "panels.js", "curves.js", "timeline.js", "recorded.js")
+PLAYER: Final = (
+    *("main.js", "player.js", "plan.js", "drawing.js"),
+    *("panels.js", "curves.js", "timeline.js", "recorded.js"),
+)
 """What plays a recording."""
 MODULES: Final = (*PLAYER, "live.js", "controls.js", "reshape.js")
 """All of the page's scripts."""

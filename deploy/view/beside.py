@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -11,6 +10,7 @@ from types import TracebackType
 from typing import Final
 
 from deploy.console.interrupt import Interrupt
+from deploy.console.program import handfast
 
 OVER: Final = b"over\n"
 """Says that the drive is over, and its recording not complete yet."""
@@ -18,7 +18,6 @@ RECORDED: Final = b"recorded\n"
 """Says that the recording is complete."""
 END_S: Final = 5.0
 POLL_S: Final = 0.1
-_COMMAND: Final = "import sys; from deploy.cli import process; sys.argv[0] = 'handfast'; sys.exit(process())"
 
 
 class PageBeside:
@@ -37,7 +36,7 @@ class PageBeside:
     def __enter__(self) -> PageBeside:
         if self._is_wanted:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _COMMAND, "view", str(self._folder), "--beside"],
+                handfast("view", str(self._folder), "--beside"),
                 stdin=subprocess.PIPE,
                 start_new_session=True,  # a Ctrl-C is for the drive, which goes on to its end in order
             )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import threading
 from typing import Final
 
 from agent.messages.types import Message
+from deploy.console.program import handfast
 
 LINES_MAX: Final = 20
-_COMMAND: Final = "import sys; from deploy.cli import process; sys.argv[0] = 'handfast'; sys.exit(process())"
 
 
 class StartUnderWay:
@@ -24,9 +23,8 @@ class StartUnderWay:
     what: Final = "start the mission"
 
     def __init__(self, fleet: str, robots: int, *, resume: bool) -> None:
-        command = [sys.executable, "-P", "-c", _COMMAND, "drive", fleet, "--detach", *(["--resume"] * resume)]
         self._process = subprocess.Popen(
-            command,
+            handfast("drive", fleet, "--detach", *(["--resume"] * resume)),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -1,5 +1,5 @@
 // Curves over the whole run, each in a canvas of its own: a click goes to that moment.
-import { COLORS } from "handfast/plan.js";
+import { COLORS } from "handfast/drawing.js";
 
 const LEFT = 4;
 const TOP = 16;

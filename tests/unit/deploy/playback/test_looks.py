@@ -13,6 +13,6 @@ def test_every_state_has_a_look() -> None:
 
 
 def test_the_page_knows_each_look() -> None:
-    text = b"".join(asset(name) or b"" for name in ("plan.js", "panels.js")).decode()
+    text = b"".join(asset(name) or b"" for name in ("drawing.js", "panels.js")).decode()
     for look in (DRIVES, FAILED, RESTS, TROUBLED, UNREADY):
         assert look in text

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.console import program
 from deploy.console.interrupt import Interrupt
 from deploy.view import beside as beside_module
 from deploy.view.beside import OVER, RECORDED, PageBeside
@@ -24,7 +25,7 @@ def interrupt() -> Interrupt:
 
 
 def command(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    monkeypatch.setattr(beside_module, "_COMMAND", text)
+    monkeypatch.setattr(program, "_RUN", text)
 
 
 def test_there_is_none_unless_it_is_wanted(tmp_path: Path, interrupt: Interrupt) -> None:

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from deploy.view import start as start_module
+from deploy.console import program
 from deploy.view.start import LINES_MAX, StartUnderWay
 
 SAYS_ITS_ARGUMENTS = "import sys; print(*sys.argv[1:], sep='|')"
@@ -20,7 +20,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., StartUnde
     made: list[StartUnderWay] = []
 
     def start(command: str, fleet: str = "a fleet.toml", *, resume: bool = False) -> StartUnderWay:
-        monkeypatch.setattr(start_module, "_COMMAND", command)
+        monkeypatch.setattr(program, "_RUN", command)
         made.append(StartUnderWay(fleet, 3, resume=resume))
         return made[-1]
 
