@@ -58,7 +58,7 @@ def test_an_edge_of_no_length_within_a_change_of_mission_is_drawn() -> None:
 
 
 def test_colours_are_those_of_the_page_where_it_has_them() -> None:
-    found = re.search(r"COLORS = \{([^}]*)\}", (PAGE / "plan.js").read_text())
+    found = re.search(r"COLORS = \{([^}]*)\}", (PAGE / "drawing.js").read_text())
     assert found
     page = dict(re.findall(r'(\w+): "(#\w+)"', found[1]))
     ours = scene.EDGE_COLORS
