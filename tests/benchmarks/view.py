@@ -16,7 +16,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -24,6 +24,7 @@ from typing import Final, cast
 
 import numpy as np
 import tomli_w
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
@@ -178,8 +179,9 @@ def _stops(fleet: Fleet, address: str, count: int) -> list[float]:
 
 def _read(talk: ClientConnection) -> None:
     """Reads what comes, as pages do: who answers nothing is gone."""
-    for number, _ in enumerate(each for each in talk if isinstance(each, bytes)):
-        talk.send(str(number + 1))
+    with suppress(ConnectionClosed):
+        for number, _ in enumerate(each for each in talk if isinstance(each, bytes)):
+            talk.send(str(number + 1))
 
 
 def _say(talk: ClientConnection, order: dict[str, str | float]) -> None:
