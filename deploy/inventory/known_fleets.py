@@ -14,7 +14,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Final
 
-from agent.common.wording import show
+from agent.common.wording import did_you_mean, show
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from agent.fleet.sections import Robot
@@ -202,7 +202,9 @@ def meant(what: str) -> list[KnownFleet]:
     if not found and what in bundled():
         return [KnownFleet(what, fleet_path(what))]
     if not found:
-        raise NotRunningError(f"no fleet of the name {show(what)} runs here{_those()}")
+        meant_one = did_you_mean(what, [*bundled(), *(each.name for each in known())])
+        asked = f"; {meant_one}" if meant_one else ""
+        raise NotRunningError(f"no fleet of the name {show(what)} runs here{_those()}{asked}")
     return found
 
 

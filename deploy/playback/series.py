@@ -26,11 +26,12 @@ def series(result: RunResult) -> dict[str, Any]:
 
     Curves: `nearest` (m, of any two robots), `error` (m, of the worst edge), `tracking` (m, of the robot that
     is farthest from its place), `tick` (us), `age` (ms); `edges`: where they are few, of each `low` and
-    `high`, its least and greatest distance (m).
+    `high`, its least and greatest distance (m) while it is in force.
     """
     analysis = result.analysis
     starts = _starts(len(analysis.grid))
-    errors = np.abs(np.where(np.isfinite(analysis.wanted), analysis.distances - analysis.wanted, np.nan))
+    distances = np.where(np.isfinite(analysis.wanted), analysis.distances, np.nan)  # of edges in force
+    errors = np.abs(distances - analysis.wanted)
     tracking = norm(analysis.hands - analysis.desired)
     found: dict[str, Any] = {
         "t": [round(float(t), 3) for t in analysis.grid[starts]],
@@ -44,8 +45,8 @@ def series(result: RunResult) -> dict[str, Any]:
     if analysis.edges.shape[0] <= EDGES_MAX:
         found["edges"] = [
             {
-                "low": _numbers(-_greatest(-analysis.distances[:, column], starts)),
-                "high": _numbers(_greatest(analysis.distances[:, column], starts)),
+                "low": _numbers(-_greatest(-distances[:, column], starts)),
+                "high": _numbers(_greatest(distances[:, column], starts)),
             }
             for column in range(analysis.edges.shape[0])
         ]

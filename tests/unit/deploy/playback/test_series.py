@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,16 @@ def test_without_two_robots_known_there_is_no_nearest_pair() -> None:
     analysis.hands[3, 1:] = np.nan
     assert np.isnan(nearest(analysis)[3])
     assert series(result)["nearest"][3] is None
+
+
+def test_an_edge_that_is_no_more_has_no_curve() -> None:
+    result = result_of()
+    wanted = result.analysis.wanted.copy()
+    wanted[20:, 1] = np.nan
+    vars(result)["analysis"] = replace(result.analysis, wanted=wanted)
+    found = series(result)["edges"][1]
+    assert None not in found["low"][:20]
+    assert set(found["low"][20:]) == set(found["high"][20:]) == {None}
 
 
 def test_many_edges_are_one_curve(monkeypatch: pytest.MonkeyPatch) -> None:
