@@ -286,7 +286,7 @@ def _parser(asked: Collection[str] | None = None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
     commands = parser.add_subparsers(
-        title="commands", metavar="COMMAND", required=True, parser_class=argparse.ArgumentParser
+        title="commands", metavar="COMMAND", required=True, parser_class=_CommandParser
     )
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.help, description=command.help)
@@ -313,6 +313,23 @@ class _Parser(argparse.ArgumentParser):
             formatter.end_section()
         formatter.add_text(self.epilog)
         return formatter.format_help()
+
+
+class _CommandParser(argparse.ArgumentParser):
+    """A command's parser. What it does not know it refuses itself, with its usage; argparse would have the
+    one above it say so."""
+
+    def parse_known_args(self, *args: Any, **kwargs: Any) -> Any:
+        options, unknown = super().parse_known_args(*args, **kwargs)
+        if unknown:
+            from agent.common.wording import did_you_mean
+
+            names = [name for action in self._actions for name in action.option_strings]
+            spelled = next((word.partition("=")[0] for word in unknown if word.startswith("-")), "")
+            question = did_you_mean(spelled, names, str)
+            hint = f" ({question})" if question else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return options, unknown
 
 
 class _Version(argparse.Action):

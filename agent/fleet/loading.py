@@ -222,8 +222,7 @@ def _apply_law(raw: dict[str, Any], law: str | None, recorded: bool = False) -> 
         try:
             load_law(law)
         except PluginError as error:
-            why = str(error) if ":" in law else f"got {show(law)}: {error}"
-            return (Problem("--law", f"must be one of {', '.join(LAWS)}, or a plugin, {why}"),)
+            return (Problem("--law", str(error)),)
     presets: Mapping[str, Mapping[str, object]] = LAWS.get(law, {"control": {"law": law}})
     for table, preset in presets.items():
         given = raw.setdefault(table, {})

@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 from agent.common import plugins
 from agent.common.quantities import FAR_M, Vector
 from agent.common.settings import Sectioned, Sections, T, about, setting
+from agent.common.wording import show
 from agent.fleet import plants
 from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 
@@ -53,7 +54,13 @@ def load_law(reference: str) -> type[Any]:
     Raises:
         agent.common.plugins.PluginError: there is none.
     """
-    return plugins.load(reference, LAWS_GROUP, "agent.control.law_plugin:Law", LAWS)
+    try:
+        return plugins.load(reference, LAWS_GROUP, "agent.control.law_plugin:Law", LAWS)
+    except plugins.PluginError as error:
+        if ":" in reference:
+            raise
+        wrong = f"must be one of {', '.join(LAWS)}, or a plugin, got {show(reference)}: {error}"
+        raise plugins.PluginError(wrong) from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,6 +100,23 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
             first_order(page, "heal all links – 12 of 12")
             click_on_nothing(page)
 
+            # A link is chosen by its cell too.
+            page.locator("#links td.choice").first.click()
+            expect(page.locator("#change .row")).to_contain_text("link 1 – ")
+            click_on_nothing(page)
+
+            # All of the drive fits, or the robots alone; what was zoomed to is there again after a reload.
+            whole = page.evaluate("handfast.plan.scale")
+            page.keyboard.press("f")
+            page.wait_for_function(f"() => handfast.plan.scale > {whole}")
+            page.keyboard.press("+")
+            zoomed = page.evaluate("handfast.plan.scale")
+            page.reload()
+            page.wait_for_function("() => window.handfast && handfast.source.end > 0")
+            assert page.evaluate("handfast.plan.scale") == zoomed
+            page.keyboard.press("f")
+            page.wait_for_function(f"() => handfast.plan.scale < {zoomed}")
+
             # Robot 1 leaves, and comes back.
             click_on(page, "handfast.plan.drawn[0]")
             page.locator("#change button", has_text="take robot 1 out").click()
@@ -171,6 +188,7 @@ def test_nothing_can_be_ordered_where_it_is_only_to_be_read(tmp_path: Path) -> N
     with driving(tmp_path / "run", "pair", 60) as (name, run):
         with viewed(tmp_path / "view", name, "--read-only") as (where, _), opened(tmp_path) as page:
             shown(page, where)
+            expect(page.locator("#about")).to_contain_text("to be looked at only")
             expect(page.locator("#stop")).to_be_hidden()
             page.keyboard.press("Escape")
             page.evaluate("handfast.source.say({ order: { id: 'x', kind: 'stop' } })")

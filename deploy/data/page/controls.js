@@ -6,6 +6,7 @@ const AGAIN_MS = 300; // an order that the server has not been heard to know is 
 const LATE_MS = 3000; // as deploy/view/orders.py: after so long the server would refuse it
 const AT_ONCE = 4; // of those that wait, so many are said again at a time
 const SHOWN = 6;
+const AWAY_M = 0.5; // a robot that stands is said to be away from its place
 const FAULTS = [
   ["30 % lost", { loss: "30%" }],
   ["all lost", { loss: "100%" }],
@@ -18,7 +19,9 @@ export class Controls {
   constructor(player, source) {
     Object.assign(this, { player, source, pending: new Map(), known: [], lost: [], serial: 0 });
     this.name = Array.from(crypto.getRandomValues(new Uint32Array(3)), (part) => part.toString(36)).join("");
-    this.links = new Links(find("links"), source);
+    const index = (id) => source.scene.robots.findIndex((robot) => robot.id === id);
+    const places = (link) => link.map(index).sort((a, b) => a - b);
+    this.links = new Links(find("links"), source, (link) => player.choose(null, places(link)));
     player.plan.trouble = (i, j) => this.links.trouble(source.scene.robots[i].id, source.scene.robots[j].id);
     this.may = new Set();
     this.place = find("change");
@@ -34,7 +37,10 @@ export class Controls {
     this.reshape = new Reshape(player, source, this);
     source.onPart = (parts) => this.told(parts);
     source.onOpen = () => this.again();
-    player.onTold = () => this.choice();
+    player.onTold = () => {
+      this.choice();
+      this.standing();
+    };
     setInterval(() => this.again(), AGAIN_MS);
     this.told(source.parts);
   }
@@ -82,28 +88,44 @@ export class Controls {
       this.known = orders;
       for (const { id } of orders) this.pending.delete(id);
     }
-    if (panel) {
-      const [here, all] = panel.present;
-      const gone = here ? "" : "no process of the fleet is there any more: its drive is over, or it is out of reach";
-      const text = gone || panel.stop || (here < all ? `${here} of ${all} processes there` : "");
-      if (find("standing").textContent !== text) find("standing").textContent = text;
-      find("resume").hidden = !panel.stop || !this.may.has("resume");
-    }
+    if (panel) this.standing();
     if (links) this.links.show(links);
     if (preview) this.reshape.told(preview);
     this.show();
   }
 
+  standing() {
+    const { panel } = this.source.parts;
+    if (!panel) return;
+    const [here, all] = panel.present;
+    const gone = here ? "" : "no process of the fleet is there any more: its drive is over, or it is out of reach";
+    const stop = panel.stop && `${panel.stop}${this.behind()}`;
+    const text = gone || stop || (here < all ? `${here} of ${all} processes there` : "");
+    if (find("standing").textContent !== text) find("standing").textContent = text;
+    find("resume").hidden = !panel.stop || !this.may.has("resume");
+  }
+
+  // The mission goes on while robots stand: a resume has them drive to where they should be by then.
+  behind() {
+    const { scene, row, columns, at } = this.source;
+    const away = scene.robots.map((_, k) => {
+      const of = (name) => row[k * columns + at[name]];
+      return Math.hypot(of("x") - of("place_x"), of("y") - of("place_y"));
+    });
+    const most = Math.max(0, ...away.filter(Number.isFinite));
+    return most > AWAY_M ? `; up to ${most.toFixed(1)} m from where they should be by now` : "";
+  }
+
   show() {
     const items = [...this.pending.values()].map(({ order }) => ({ what: order.kind, lines: [], waits: true }));
-    items.push(...[...this.known.slice(-SHOWN), ...this.lost.slice(-2)].reverse());
-    const made = items.map(({ what, over, done, count, lines, waits }) => {
+    items.push(...alike([...this.known, ...this.lost.slice(-2)]).slice(-SHOWN).reverse());
+    const made = items.map(({ what, over, done, count, lines, waits, times = 1 }) => {
       const item = element("li", undefined, done ? "done" : over ? "failed" : "");
       const told = count && lines.some((line) => line.startsWith(`${count[0]} of `));
       const so = done ? "" : over ? "not all" : "...";
       const counted = count && !(told && !done) ? `${count[0]} of ${count[1]} ${so}` : so;
       const state = waits ? "the server has not answered yet" : count ? counted.trim() : "not given";
-      item.append(element("strong", what), ` – ${state}`);
+      item.append(element("strong", what), ` – ${state}${times > 1 ? ` (${times} times)` : ""}`);
       if (!done && lines.length) item.append(element("div", lines.join("; "), "soft"));
       return item;
     });
@@ -193,4 +215,17 @@ export class Controls {
       });
     }
   }
+}
+
+// Orders one after the other of which the same became are one, said so many times.
+function alike(orders) {
+  const found = [];
+  for (const order of orders) {
+    const last = found[found.length - 1];
+    const of = order.done ? ["what", "done", "count"] : ["what", "over", "done", "count", "lines"];
+    const same = last && of.every((each) => String(order[each]) === String(last[each]));
+    if (same) last.times += 1;
+    else found.push({ ...order, times: 1 });
+  }
+  return found;
 }

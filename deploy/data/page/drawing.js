@@ -131,7 +131,7 @@ export class Drawing {
       const distance = Math.hypot(x - u, y - v);
       const off = distance / wanted - 1;
       const unsafe = distance < scene.safe_m;
-      const chosen = this.link && this.link[0] === i && this.link[1] === j;
+      const chosen = this.link && this.link.includes(i) && this.link.includes(j);
       c.strokeStyle = unsafe ? COLORS.bad : Math.abs(off) <= settled ? COLORS.holds : COLORS.off;
       c.lineWidth = (unsafe ? 4 : off < -settled ? 2.6 : 1.6) * (few ? 1 : 0.7);
       c.setLineDash(Math.abs(off) <= settled ? [] : off > 0 ? [9, 5] : [2, 3]);

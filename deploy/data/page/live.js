@@ -296,13 +296,6 @@ export class Live {
     for (const [i, j, wanted] of edges) put(i, j, wanted);
   }
 
-  eachPlace(put) {
-    this.scene.robots.forEach((_, k) => {
-      put(this.row[k * this.columns + this.at.x], this.row[k * this.columns + this.at.y]);
-      put(this.row[k * this.columns + this.at.place_x], this.row[k * this.columns + this.at.place_y]);
-    });
-  }
-
   path(robot, from, to, put) {
     const each = this.scene.frame_columns;
     for (let k = Math.max(0, this.find(from)); k < this.count; k++) {
@@ -345,7 +338,7 @@ export class Live {
 
   // What the page shows: what is now, or what was.
   how(t, follows) {
-    if (follows) return "live";
+    if (follows) return this.parts.controls && !this.parts.controls.length ? "live, to be looked at only" : "live";
     return `looking back ${Math.max(0, (this.now ?? this.end) - t).toFixed(0)} s (the list of links is of now)`;
   }
 

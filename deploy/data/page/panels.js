@@ -129,8 +129,8 @@ export class Events {
 
 // How each link is: of those that hear each other, the age of the newest message and what was lost lately.
 export class Links {
-  constructor(parent, source) {
-    Object.assign(this, { parent, source, before: new Map(), lost: new Map(), never: new Set() });
+  constructor(parent, source, onChoose) {
+    Object.assign(this, { parent, source, onChoose, before: new Map(), lost: new Map(), never: new Set() });
     this.table = element("table");
     parent.append(element("h2", "Links: age of the last message in ms, lost of late"), this.table);
     parent.hidden = true;
@@ -170,7 +170,7 @@ export class Links {
         if (!link) return { text: "" };
         const lost = this.lost.get(`${from} ${to}`);
         const text = link[2] < 0 ? "never" : `${link[2]}${lost > 0.005 ? ` ${(100 * lost).toFixed(0)}%` : ""}`;
-        return { text, className: link[2] < 0 || lost > 0.2 ? "bad" : lost > 0.01 ? "warn" : "" };
+        return { text, link, className: link[2] < 0 || lost > 0.2 ? "bad" : lost > 0.01 ? "warn" : "" };
       })]);
     }
     return this.fill(rows);
@@ -180,19 +180,39 @@ export class Links {
     const rows = [[{ text: `${count} links, ${bad.length} of which lose messages or are silent` }]];
     for (const [from, to, age] of bad.slice(0, 20)) {
       const lost = this.lost.get(`${from} ${to}`);
-      rows.push([{ text: `${from} to ${to}: ${age < 0 ? "never heard" : `${age} ms`}, ${(100 * lost).toFixed(0)} % lost`, className: "warn" }]);
+      const text = `${from} to ${to}: ${age < 0 ? "never heard" : `${age} ms`}, ${(100 * lost).toFixed(0)} % lost`;
+      rows.push([{ text, link: [from, to], className: "warn" }]);
     }
     return this.fill(rows);
   }
 
+  // Cells that stay where they are only get another text: who has come to one by its key stays there.
   fill(rows) {
-    const text = JSON.stringify(rows);
-    if (text === this.filled) return;
-    this.filled = text;
-    this.table.replaceChildren(...rows.map((cells, number) => {
-      const row = element("tr");
-      row.append(...cells.map((cell) => element(number ? "td" : "th", String(cell.text), cell.className)));
-      return row;
+    const shape = rows.map((cells) => cells.length).join();
+    if (shape !== this.shape) {
+      this.shape = shape;
+      this.cells = rows.map((cells, number) => cells.map(() => this.cell(number ? "td" : "th")));
+      this.table.replaceChildren(...this.cells.map((cells) => {
+        const row = element("tr");
+        row.append(...cells);
+        return row;
+      }));
+    }
+    rows.forEach((cells, number) => cells.forEach(({ text, link = null, className = "" }, column) => {
+      const cell = this.cells[number][column];
+      if (cell.textContent !== String(text)) cell.textContent = text;
+      cell.className = className + (link ? " choice" : "");
+      cell.tabIndex = link ? 0 : -1;
+      cell.link = link;
     }));
+  }
+
+  // One of a link chooses that.
+  cell(name) {
+    const made = element(name);
+    const choose = () => made.link && this.onChoose(made.link.slice(0, 2));
+    made.addEventListener("click", choose);
+    made.addEventListener("keydown", (event) => event.key === "Enter" && choose());
+    return made;
   }
 }

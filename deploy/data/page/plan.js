@@ -3,6 +3,7 @@
 import { Drawing } from "handfast/drawing.js";
 
 const MARGIN = 0.12;
+const [TOP_PX, BOTTOM_PX] = [40, 24]; // buttons and legend are there
 
 export class Plan extends Drawing {
   constructor(canvas, source, onChoose) {
@@ -14,7 +15,8 @@ export class Plan extends Drawing {
     this.scale = 50; // pixels a metre
     this.centre = [0, 0];
     this.fitted = false;
-    this.auto = Boolean(source.live); // keeps all robots in the picture, as long as nobody moves it
+    this.near = false; // what was shown whole last were robots and places alone
+    this.auto = true; // as long as nobody moves it; of a running fleet all robots are kept in the picture then
     this.pointers = new Map();
     this.listen();
   }
@@ -49,8 +51,9 @@ export class Plan extends Drawing {
     ];
   }
 
-  // Shows all that there is: the whole way of all robots, obstacles and the fence.
-  fit() {
+  // Shows all that there is: the whole way of all robots, obstacles and the fence; or, near, the robots alone
+  // where they are and should be: on a long way they are too small to see.
+  fit(near = false) {
     this.resize();
     const { source } = this;
     let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
@@ -61,9 +64,10 @@ export class Plan extends Drawing {
       y0 = Math.min(y0, y);
       y1 = Math.max(y1, y);
     };
-    source.scene.robots.forEach((_, robot) => source.path(robot, 0, Infinity, take));
-    if (source.live) source.eachPlace(take);
-    for (const each of source.scene.obstacles) {
+    this.near = near;
+    if (!near) source.scene.robots.forEach((_, robot) => source.path(robot, 0, Infinity, take));
+    if (near || source.live) this.eachPlace(take);
+    for (const each of near ? [] : source.scene.obstacles) {
       if (each.points) each.points.forEach(([x, y]) => take(x, y));
       else {
         take(each.x - each.radius, each.y - each.radius);
@@ -72,12 +76,43 @@ export class Plan extends Drawing {
     }
     if (!Number.isFinite(x0)) return;
     const room = Math.max(x1 - x0, y1 - y0, 1) * MARGIN;
-    this.centre = [(x0 + x1) / 2, (y0 + y1) / 2];
-    this.scale = Math.min(this.width / (x1 - x0 + 2 * room), this.height / (y1 - y0 + 2 * room));
+    const height = Math.max(this.height - TOP_PX - BOTTOM_PX, this.height / 2);
+    this.scale = Math.min(this.width / (x1 - x0 + 2 * room), height / (y1 - y0 + 2 * room));
+    this.centre = [(x0 + x1) / 2, (y0 + y1) / 2 + (TOP_PX - BOTTOM_PX) / 2 / this.scale];
     this.fitted = true;
   }
 
+  // Where robots are in what is shown, and where they should be.
+  eachPlace(put) {
+    const { at, columns, scene } = this.source;
+    const { row } = this.frame;
+    scene.robots.forEach((_, k) => {
+      put(row[k * columns + at.x], row[k * columns + at.y]);
+      put(row[k * columns + at.place_x], row[k * columns + at.place_y]);
+    });
+  }
+
+  // What somebody has moved or zoomed is shown again after a reload, as when a run's recording takes its place.
+  remember() {
+    const { centre, scale, follow, show } = this;
+    if (this.auto || !this.fitted) sessionStorage.removeItem(this.name());
+    else sessionStorage.setItem(this.name(), JSON.stringify({ centre, scale, follow, show }));
+  }
+
+  recall() {
+    const kept = sessionStorage.getItem(this.name());
+    if (!kept) return;
+    const { centre, scale, follow, show } = JSON.parse(kept);
+    Object.assign(this, { centre, scale, follow, fitted: true, auto: false });
+    Object.assign(this.show, { ...show, forces: false });
+  }
+
+  name() {
+    return `handfast plan of ${this.source.scene.fleet}`;
+  }
+
   zoom(factor, px = this.width / 2, py = this.height / 2) {
+    this.auto = false;
     const [x, y] = this.toWorld(px, py);
     this.scale = Math.min(Math.max(this.scale * factor, 0.01), 20000);
     const [nx, ny] = this.toWorld(px, py);
@@ -88,7 +123,6 @@ export class Plan extends Drawing {
     const { canvas, pointers } = this;
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
-      this.auto = false;
       this.zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
     }, { passive: false });
     canvas.addEventListener("pointerdown", (event) => {
@@ -154,8 +188,9 @@ export class Plan extends Drawing {
   // ---------------------------------------------------------------- drawing
 
   draw(frame) {
+    this.frame = frame;
     this.resize();
-    if (!this.fitted || (this.auto && !this.follow && this.isOutside(frame.row))) this.fit();
+    if (!this.fitted || (this.auto && this.source.live && !this.follow && this.isOutside(frame.row))) this.fit(this.near);
     const style = getComputedStyle(document.documentElement);
     this.theme = Object.fromEntries(
       ["ink", "soft", "line", "page", "card", "accent", "robot", "fence", "warn", "bad"].map((name) => [
@@ -171,7 +206,6 @@ export class Plan extends Drawing {
     this.grid();
     this.ground();
     if (this.show.trails) this.trails(frame);
-    this.frame = frame;
     this.edges(frame);
     if (frame.now) this.silent();
     this.robots(frame);

@@ -26,6 +26,7 @@ export class Player {
     this.curves = new Curves(find("charts"), scene, seek);
     this.events = new Events(find("events"), scene, seek);
     this.timeline = new Timeline(find("line"), scene, seek);
+    this.remembers();
     this.about();
     this.controls();
     this.buttons();
@@ -54,6 +55,20 @@ export class Player {
     verdict.title = [...scene.verdict.reasons, ...scene.verdict.warnings].join("\n");
   }
 
+  // A report that is opened from disk has no place of its own to keep anything in.
+  remembers() {
+    if (location.protocol === "file:" || window.top !== window) return;
+    try {
+      this.plan.recall();
+    } catch {
+      return; // a browser that keeps nothing
+    }
+    window.addEventListener("pagehide", () => this.plan.remember());
+    for (const [name, on] of Object.entries({ ...this.plan.show, follow: this.plan.follow })) {
+      find(name).setAttribute("aria-pressed", on);
+    }
+  }
+
   controls() {
     const speed = find("speed");
     for (const each of SPEEDS) speed.add(new Option(`${each} x`, each, each === 1, each === 1));
@@ -68,8 +83,8 @@ export class Player {
       back: () => this.tick(-1),
       on: () => this.tick(1),
       fit: () => {
-        this.plan.fit();
-        this.plan.auto = Boolean(this.source.live);
+        this.plan.fit(this.plan.auto && !this.plan.near);
+        this.plan.auto = true;
       },
       follow: () => {
         this.plan.follow = !this.plan.follow;

@@ -211,6 +211,28 @@ def test_a_command_that_there_is_not(name: str, hint: str, capsys: pytest.Captur
     assert told.err == f'handfast: there is no command "{name}": {hint}`handfast --help` lists all\n'
 
 
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["check", "delta", "--duratoin", "3"], " (did you mean --duration?)"),
+        (["run", "delta", "--durations", "3"], " (did you mean --duration?)"),
+        (["run", "delta", "--durations=3"], " (did you mean --duration?)"),
+        (["run", "delta", "more"], ""),
+        (["keys", "delta", "--al"], " (did you mean --law?)"),
+    ],
+)
+def test_an_option_that_a_command_has_not_is_refused_with_its_own_usage(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"usage: handfast {words[0]} ")
+    unknown = " ".join(words[2:])
+    assert told.endswith(f"handfast {words[0]}: error: unrecognized arguments: {unknown}{hint}\n")
+
+
 def test_an_option_before_a_command_is_looked_at_first(capsys: pytest.CaptureFixture[str]) -> None:
     for option, said in (("--help", "usage: handfast"), ("--version", "handfast ")):
         with pytest.raises(SystemExit, match="0"):

@@ -171,10 +171,11 @@ def test_a_recording_is_looked_at_where_its_plugins_are_not():
             ["control.law=jiont"],
             None,
             SMALL,
-            '--set control.law: no plugin has the name "jiont"; did you mean joint?',
+            '--set control.law: must be one of paper, edge, joint, penalty, or a plugin, got "jiont": '
+            'no plugin has the name "jiont"; did you mean joint?',
         ),
         (["control.law=a.b:C"], None, SMALL, "--set control.law: a.b:C: there is no module a"),
-        (["control.law=3", "control.spring.stiffness=1"], None, SMALL, '--set control.law: "3": a class is'),
+        (["control.law=3", "control.spring.stiffness=1"], None, SMALL, '--set control.law: must be one of paper, '),
     ],
 )
 def test_one_line_says_what_is_wrong(overrides: list[str], law: str | None, text: str, said: str) -> None:
