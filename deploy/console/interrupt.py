@@ -39,6 +39,24 @@ def remembered() -> Iterator[None]:
         _unanswered.clear()
 
 
+@contextmanager
+def usual() -> Iterator[None]:
+    """A context in which Ctrl-C is answered as Python does by itself.
+
+    Only then does `asyncio.run` cancel what it runs. Raised in the midst of a task, an interrupt would leave
+    the others behind.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before is not _raise:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 class Interrupt:
     """Counts Ctrl-C (and SIGTERM, SIGHUP) instead of raising: a run is ended in order."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -27,6 +27,7 @@ from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREAD
 from deploy.playback.series import nearest
 from deploy.recording.recorder import RecordingError
 from deploy.report.plotting import DASHED, GREY, INK, PALETTE, RED, body_arrow, draw_boundary, styled, view
+from deploy.report.whole_file import whole_file
 from deploy.verdict.run_result import RunResult
 
 FORMATS: Final = ("mp4", "gif")
@@ -85,24 +86,9 @@ def film(
                 shown(number + 1, count)
                 yield picture.at(min(number * pace / fps, end_s))
 
-        with _whole(out) as part:
+        with whole_file(out, FilmError) as part:
             write(part, picture.size, fps, pictures())
     return count / fps
-
-
-@contextmanager
-def _whole(out: Path) -> Iterator[Path]:
-    """A file beside `out` that takes its name once it is whole, and is gone if it never is."""
-    part = out.with_name(f".{out.stem}.part{out.suffix}")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        yield part
-        part.replace(out)
-    except OSError as error:
-        raise FilmError(f"cannot write {out}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 # --- writers ---------------------------------------------------------------------------------

@@ -23,6 +23,8 @@ PERIODS_OLD: Final = 2.0
 """Older information than this many periods, in more than one of a hundred cases, is worth a picture."""
 WORST: Final = 4
 """Links that are drawn one by one."""
+GAP_S: Final = 1.5
+"""A link of which nothing is told for so long is none then: robots tell of theirs more than once a second."""
 _BINS: Final = 150
 _PLOT_IN: Final = 3.0
 """The axes of the ages are at least so high, inches."""
@@ -98,12 +100,18 @@ def _draw_ages(axes: Axes, age: Ages, end: float) -> tuple[float, list[EndLabel]
         inside = (t >= 0.0) & (t <= end)
         if not inside.any():
             continue
-        t, values = t[inside], values_ms[inside] / 1e3
+        t, values = _with_gaps(t[inside], values_ms[inside] / 1e3)
         style = nth_marked(place, len(t)) | {"color": _LINES[place]}
         axes.plot(t, values, linewidth=0.8, alpha=0.9, **style)
         ends = float(t[-1]), float(values[-1])
         labels.append(EndLabel(f"{source}→{destination}", *ends, _LINES[place], style["marker"]))
     return float(np.nanmax(table)), labels[::-1]
+
+
+def _with_gaps(t: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """With a break wherever nothing was told of the link for long: it was none then."""
+    gaps = np.flatnonzero(np.diff(t) > GAP_S) + 1
+    return np.insert(t, gaps, t[gaps - 1]), np.insert(values, gaps, np.nan)
 
 
 _LINES: Final = (PALETTE[1], PALETTE[0], PALETTE[3], PALETTE[7])

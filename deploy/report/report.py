@@ -23,12 +23,12 @@ from deploy.faults.lanes import lanes
 from deploy.playback.page import embedded
 from deploy.playback.scene import scene
 from deploy.playback.track import Track
-from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
 from deploy.report import figures, link_figure, link_section, oracle_section
 from deploy.report.html import CSS, bullets, figure, inside, shown, table
 from deploy.report.trajectory_figure import silent_bodies
+from deploy.report.whole_file import whole_file
 from deploy.verdict import metrics
 from deploy.verdict.run_result import RunResult
 
@@ -43,15 +43,13 @@ def write_report(folder: Path, result: RunResult, formats: Sequence[str] = ()) -
     pictures = figures.write_figures(folder, result, formats)
     path = folder / REPORT_FILE
     page = _page(result, {name: picture.read_bytes() for name, picture in pictures.items()}, folder)
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+    with whole_file(path) as part:
+        part.write_text(page, encoding="utf-8")
     return path
 
 
 def remove_report(folder: Path) -> None:
-    """Removes the figures and the page, as far as they are there, and one that is half written."""
+    """Removes the figures and the page, as far as they are there."""
     (folder / REPORT_FILE).unlink(missing_ok=True)
     figures.remove_figures(folder)
 

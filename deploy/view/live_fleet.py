@@ -82,7 +82,8 @@ class LiveFleet:
         self._panel_due_ns = 0
         self.t_s: float | None = None
         """Fleet time of the last frame, None before there is a mission."""
-        self.put("scene", ground(fleet) | {"frame_columns": len(COLUMNS) - FORCE_COLUMNS})
+        about = {"frame_columns": len(COLUMNS) - FORCE_COLUMNS, "rate_hz": float(fleet.fleet.rate_hz)}
+        self.put("scene", ground(fleet) | about)
 
     def _take(self, now_ns: int, key: str, payload: bytes) -> Message | None:
         message = None if key.endswith(_UNWANTED) else valid(payload)
@@ -228,6 +229,11 @@ class LiveFleet:
             "other_file": state.on_other_file,
             "faults": list(picture.faults),
             "silent": [body.row for body in picture.silent],
+            "why": {
+                str(robot): [about.state, about.reason]
+                for robot, about in picture.robots.items()
+                if about.reason and about.state == self._states.get(robot, ("", ""))[0]
+            },
             "checks": {
                 str(robot): [list(line) for line in state.checks.lines(robot)]
                 for robot in state.checks.robots

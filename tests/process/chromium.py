@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,12 +12,22 @@ from playwright.sync_api import Page, expect, sync_playwright
 
 expect.set_options(timeout=30_000)  # ms, as what else waits: other tests use the machine too
 NAMES = ("chromium", "chromium-browser", "google-chrome")
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE 127.0.0.2",
-]
-"""CI is root, which has no sandbox. No name is looked up: a page that asked for one would be seen."""
+SERVERS = ("http://127.0.0.1", "https://127.0.0.2")
+"""Of pages: the one that a server has unless told otherwise, and one that stands for a network's."""
+
+
+def program() -> str:
+    """This machine's Chromium; without one the test is skipped."""
+    found = next(filter(None, map(shutil.which, NAMES)), None)
+    if found is None:
+        pytest.skip(f"no browser: {', '.join(NAMES)} (Debian: apt install chromium)")
+    return found
+
+
+def arguments(servers: Sequence[str]) -> list[str]:
+    """CI is root, which has no sandbox. No name is looked up: a page that asked for one would be seen."""
+    known = "".join(f", EXCLUDE {server.partition('://')[2]}" for server in servers)
+    return ["--no-sandbox", "--disable-dev-shm-usage", f"--host-resolver-rules=MAP * ~NOTFOUND{known}"]
 
 
 @contextmanager
@@ -29,20 +39,22 @@ def opened(
     may_say: str = "\0",
     *,
     strange: bool = False,
+    by: str | Path | None = None,
+    servers: Sequence[str] = SERVERS,
 ) -> Iterator[Page]:
     """A page of a browser; errors of its scripts, but those that contain `may_say`, and requests to others,
     fail the test.
 
     Args:
         strange: goes on where it does not know who has signed a server's certificate.
+        by: the program, this machine's when left out. It talks over the descriptors 3 and 4 that it is given.
+        servers: which requests may go to, at any port.
 
     When the test fails, what the page showed is left in `screenshots`.
     """
-    program = next(filter(None, map(shutil.which, NAMES)), None)
-    if program is None:
-        pytest.skip(f"no browser: {', '.join(NAMES)} (Debian: apt install chromium)")
+    executable = program() if by is None else by
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=executable, args=arguments(servers))
         page = browser.new_page(
             viewport={"width": width, "height": height},
             color_scheme=scheme,  # type: ignore[arg-type]
@@ -56,8 +68,8 @@ def opened(
         try:
             yield page
             assert not [text for text in trouble if may_say not in text]
-            outside = ("http://127.0.0.1:", "https://127.0.0.2:", "data:", "file:", "about:")
-            assert not [address for address in asked if not address.startswith(outside)]
+            inside = (*(f"{server}:" for server in servers), "data:", "file:", "about:")
+            assert not [address for address in asked if not address.startswith(inside)]
         except BaseException:
             screenshots.mkdir(parents=True, exist_ok=True)
             page.screenshot(path=screenshots / "failed.png")

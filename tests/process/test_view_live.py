@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
 import secrets
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import dist
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
@@ -96,6 +99,8 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
             expect(page.locator("#change .row")).to_contain_text("link 1 – 2")
             page.locator("#change button", has_text="all lost").click()
             first_order(page, "loss 100% on 1->2; 2->1 – 12 of 12")
+            expect(page.locator("#links td.bad")).to_have_text([re.compile("100%$")] * 2)
+            assert page.evaluate("handfast.controls.links.trouble(1, 2)").startswith("silent ")
             page.locator("#change button", has_text="heal all links").click()
             first_order(page, "heal all links – 12 of 12")
             click_on_nothing(page)
@@ -154,6 +159,8 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
             page.keyboard.press("Home")
             assert page.evaluate("handfast.t === handfast.source.rows[0]")  # the first that is known here
             expect(page.locator("#about")).to_contain_text("looking back")
+            page.evaluate("handfast.seek(0)")  # of before nothing is known, and so nothing shown
+            assert page.evaluate("handfast.t === handfast.source.rows[0]")
             page.locator("#events button", has_text="told to stop").click()
             expect(page.locator("#now")).to_have_attribute("aria-pressed", "false")
             page.locator("#now").click()
@@ -168,6 +175,33 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
     halts = {robot: recording.halts(robot) for robot in recording.ids}
     assert all(any(end - begin > 0.2 for begin, end in each) for each in halts.values()), halts
     assert recording.resumes
+
+
+def test_a_body_that_is_not_heard_any_more_is_shown_where_it_was_seen_last(tmp_path: Path) -> None:
+    with driving(tmp_path / "run", "pair", 60) as (name, run):
+        with viewed(tmp_path / "view", name) as (where, _), opened(tmp_path) as page:
+            shown(page, where)
+            page.wait_for_function("() => handfast.plan.drawn.every(Boolean)")
+            page.evaluate("""() => {
+                const { plan } = handfast;
+                const { seenLast } = plan;
+                plan.seenLast = (robot, last) => {
+                    handfast.lost = { id: robot.id, ...last };
+                    return seenLast.call(plan, robot, last);
+                };
+            }""")
+            plant = run.child(2, "plant")
+            before_s = page.evaluate("handfast.source.now")
+            os.kill(plant, signal.SIGSTOP)
+            page.wait_for_function("() => handfast.lost !== undefined")
+            lost = page.evaluate("handfast.lost")
+            os.kill(plant, signal.SIGCONT)
+            page.wait_for_function("() => handfast.plan.drawn.every(Boolean)")
+        run.process.send_signal(signal.SIGINT)
+        run.wait()
+    assert lost["id"] == 2
+    hand = read_run(tmp_path / "run" / "out").hand_positions(np.array([before_s]))[0][1]
+    assert dist(hand, (lost["x"], lost["y"])) < 0.5
 
 
 def test_a_server_that_is_killed_changes_nothing_for_the_robots(tmp_path: Path) -> None:

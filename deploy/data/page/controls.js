@@ -122,7 +122,7 @@ export class Controls {
     const made = items.map(({ what, over, done, count, lines, waits, times = 1 }) => {
       const item = element("li", undefined, done ? "done" : over ? "failed" : "");
       const told = count && lines.some((line) => line.startsWith(`${count[0]} of `));
-      const so = done ? "" : over ? "not all" : "...";
+      const so = done ? "" : over ? "in time, not all" : "...";
       const counted = count && !(told && !done) ? `${count[0]} of ${count[1]} ${so}` : so;
       const state = waits ? "the server has not answered yet" : count ? counted.trim() : "not given";
       item.append(element("strong", what), ` – ${state}${times > 1 ? ` (${times} times)` : ""}`);

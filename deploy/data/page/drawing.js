@@ -1,7 +1,8 @@
 // What is drawn of a moment, one thing after the other, on the canvas of a `Plan`.
 
 const TRAIL_S = 20;
-const LABEL_PX = 22; // robots that are nearer to each other on the screen have no names
+const SAID_PX = 90; // an edge that is shorter on the screen has a dot instead of a text
+const LINE_PX = 14; // height of a label
 const FORCE_PX = 80; // a force of 1 m/s2 is drawn so long
 const FORCE_PX_MAX = 160;
 
@@ -28,7 +29,7 @@ export class Drawing {
       c.globalAlpha = 1;
       c.font = "12px system-ui, sans-serif";
       const [px, py] = this.toScreen((x + to_x) / 2, (y + to_y) / 2);
-      c.fillText(`${robot}?`, px + 6, py - 7);
+      c.fillText(`${robot}?`, px + 6, py + 17); // below: above is the label of where it was seen last
     }
     c.lineCap = "butt";
   }
@@ -141,7 +142,9 @@ export class Drawing {
       if (chosen) c.lineWidth += 4;
       c.stroke();
       const trouble = frame.now && this.trouble ? this.trouble(i, j) : "";
-      if (trouble) this.said(trouble, this.toScreen((x + u) / 2, (y + v) / 2));
+      const middle = this.toScreen((x + u) / 2, (y + v) / 2);
+      if (trouble && (chosen || distance * this.scale > SAID_PX)) this.said(trouble, middle);
+      else if (trouble) this.dot(middle);
     });
     c.setLineDash([]);
   }
@@ -160,6 +163,14 @@ export class Drawing {
     c.textAlign = "start";
   }
 
+  dot([px, py]) {
+    const { c } = this;
+    c.fillStyle = this.theme.bad;
+    c.beginPath();
+    c.arc(px, py, 3, 0, 2 * Math.PI);
+    c.fill();
+  }
+
   robots(frame) {
     const { c, source } = this;
     const { at, columns, scene } = source;
@@ -168,14 +179,18 @@ export class Drawing {
       const [x, y] = [row[index * columns + at.x], row[index * columns + at.y]];
       return Number.isNaN(x) ? null : this.toScreen(x, y);
     });
-    const labels = this.areApart(LABEL_PX);
+    const names = [];
     const safe = (scene.safe_m / 2) * this.scale;
     scene.robots.forEach((robot, index) => {
       const place = this.drawn[index];
       const from = index * columns;
       const [, state] = source.state(index, frame.t);
       if (this.show.places) this.slot(row[from + at.place_x], row[from + at.place_y], place);
-      if (!place) return;
+      if (!place) {
+        const last = frame.now && source.last && source.last.get(index);
+        if (last) names.push(this.seenLast(robot, last));
+        return;
+      }
       const [px, py] = place;
       if (safe > 6) {
         c.strokeStyle = this.theme.soft;
@@ -188,19 +203,44 @@ export class Drawing {
       }
       if (this.show.forces) this.arrows(row, from, place);
       this.body(robot, row[from + at.heading], place, state, index === this.chosen);
-      if (labels || index === this.chosen) this.label(robot, state, place);
+      const isUsual = !state || state === "running";
+      const name = { texts: [...(isUsual ? [] : [`${robot.id} ${state}`]), `${robot.id}`], place };
+      if (index === this.chosen) names.unshift(name);
+      else names.push(name);
     });
+    this.labels(names);
   }
 
-  // Whether robots are mostly further apart than so many pixels.
-  areApart(least) {
-    const places = this.drawn.filter(Boolean);
-    if (places.length < 2) return true;
-    let near = 0;
-    for (const [x, y] of places) {
-      if (places.some(([u, v]) => (u !== x || v !== y) && Math.hypot(x - u, y - v) < least)) near += 1;
+  // A body that is not heard of any more, where it was last. Gives its label.
+  seenLast(robot, { x, y, heading, at }) {
+    const { c } = this;
+    const place = this.toScreen(x, y);
+    c.globalAlpha = 0.45;
+    this.body(robot, heading, place, "fault", false);
+    c.globalAlpha = 1;
+    const ago = ((performance.now() - at) / 1000).toFixed(0);
+    return { texts: [`${robot.id} seen ${ago} s ago`, `${robot.id}`], place };
+  }
+
+  // Names at their robots, each where it lies on none of those before: else shorter, or on the other side, or
+  // not at all.
+  labels(names) {
+    const { c } = this;
+    const taken = names.map(({ place: [x, y] }) => [x - 5, y - 5, x + 5, y + 5]);
+    const isFree = ([x0, y0, x1, y1]) => x0 >= 0 && x1 <= this.width && !taken.some(
+      ([u0, v0, u1, v1]) => x0 < u1 && u0 < x1 && y0 < v1 && v0 < y1,
+    );
+    c.font = "12px system-ui, sans-serif";
+    for (const { texts, place: [px, py] } of names) {
+      const found = texts.flatMap((text) => {
+        const long = c.measureText(text).width;
+        return [[px + 6, py - 7], [px - 6 - long, py - 7], [px + 6, py + 16]]
+          .map(([x, y]) => ({ text, x, y, box: [x, y - LINE_PX + 3, x + long, y + 3] }));
+      }).find(({ box }) => isFree(box));
+      if (!found) continue;
+      taken.push(found.box);
+      this.label(found);
     }
-    return near < places.length / 2;
   }
 
   slot(x, y, robot) {
@@ -306,14 +346,12 @@ export class Drawing {
     c.fill();
   }
 
-  label(robot, state, [px, py]) {
+  label({ text, x, y }) {
     const { c } = this;
-    const text = state && state !== "running" ? `${robot.id} ${state}` : `${robot.id}`;
-    c.font = "12px system-ui, sans-serif";
     c.lineWidth = 3;
     c.strokeStyle = this.theme.page;
-    c.strokeText(text, px + 6, py - 7);
+    c.strokeText(text, x, y);
     c.fillStyle = this.theme.ink;
-    c.fillText(text, px + 6, py - 7);
+    c.fillText(text, x, y);
   }
 }

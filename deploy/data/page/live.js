@@ -22,7 +22,7 @@ export function connected(checked) {
 
 export class Live {
   constructor(checked, onScene, onRefused) {
-    Object.assign(this, { checked, onScene, onRefused, live: true, parts: {}, number: 0, received: 0, acked: 0, now: null });
+    Object.assign(this, { checked, onScene, onRefused, live: true, parts: {}, number: 0, received: 0, acked: 0, now: null, last: new Map() });
     this.token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
     this.heardAt = performance.now();
     this.rate = 20;
@@ -105,7 +105,7 @@ export class Live {
       this.forget();
     }
     if (drive !== undefined) this.forget();
-    for (const mark of logs.events || []) this.scene.marks.push(mark);
+    for (const mark of logs.events || []) this.happened(mark);
     for (const [t, robot, state, why] of logs.states || []) this.scene.states[robot].push([t, state, why]);
     for (const each of logs.edges || []) this.edges.push(each);
     this.length();
@@ -115,6 +115,15 @@ export class Live {
     }
     if (parts.reload) location.replace(location.pathname); // the recording is at the same address
     if (this.onPart) this.onPart(parts);
+  }
+
+  // In the order of time: what was ordered before somebody looked may be heard of late.
+  happened(mark) {
+    const { marks } = this.scene;
+    let k = marks.length;
+    while (k > 0 && marks[k - 1].t_s > mark.t_s) k -= 1;
+    if (k < marks.length) marks.order = (marks.order || 0) + 1;
+    marks.splice(k, 0, mark);
   }
 
   // What the line of time spans: what is to be driven, and more once that is over.
@@ -142,6 +151,7 @@ export class Live {
     const [t, made, number, columns] = [head.getFloat64(0, true), head.getFloat64(8, true), head.getUint32(16, true), head.getUint32(20, true)];
     const numbers = new Float32Array(data, 24);
     if (!columns) return this.came(numbers, number);
+    this.remember();
     this.received += 1;
     this.number = number;
     this.made = made;
@@ -152,6 +162,14 @@ export class Live {
     else for (let k = 0; k < robots; k++) this.row.set(numbers.subarray(k * columns, (k + 1) * columns), k * this.columns);
     if (this.now !== null && this.now >= 0 && this.now > this.end) this.keep();
     return undefined;
+  }
+
+  // Where each body was when it was heard last.
+  remember() {
+    this.scene.robots.forEach((_, k) => {
+      const [x, y, heading] = this.row.subarray(k * this.columns, k * this.columns + 3);
+      if (!Number.isNaN(x)) this.last.set(k, { x, y, heading, at: this.arrived });
+    });
   }
 
   // All rows of the drive until now.
@@ -305,9 +323,15 @@ export class Live {
     }
   }
 
-  state(robot, t) {
+  // State of a robot, and why: what is so now tells how long already.
+  state(robot, t, now = false) {
     const changes = this.scene.states[robot];
-    if (t >= this.end || this.now === null) return changes[changes.length - 1] || [0, "", "nothing heard yet"];
+    const newest = changes[changes.length - 1];
+    if (now && newest) {
+      const why = this.parts.panel && this.parts.panel.why[this.scene.robots[robot].id];
+      return why && why[0] === newest[1] ? [newest[0], ...why] : newest;
+    }
+    if (t >= this.end || this.now === null) return newest || [0, "", "nothing heard yet"];
     let k = changes.length - 1;
     while (k > 0 && changes[k][0] > t) k -= 1;
     return changes[k] || [0, "", ""];
@@ -338,7 +362,7 @@ export class Live {
 
   // What the page shows: what is now, or what was.
   how(t, follows) {
-    if (follows) return this.parts.controls && !this.parts.controls.length ? "live, to be looked at only" : "live";
+    if (follows) return this.parts.controls && !this.parts.controls.length ? 'live, to be looked at only ("handfast stop" stops it)' : "live";
     return `looking back ${Math.max(0, (this.now ?? this.end) - t).toFixed(0)} s (the list of links is of now)`;
   }
 

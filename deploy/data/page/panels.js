@@ -1,6 +1,10 @@
 // The panels beside the plan: a row for each robot, and what happened.
 const CLASSES = { drives: "good", failed: "bad", troubled: "warn" }; // of states, by how they look
 const TROUBLE = 0.02; // a link that loses a greater share is marked
+const REASONS = 4; // so many are told
+const SILENT_MS = 500; // a link over which nothing has come for so long, or for some ticks, is silent
+const SILENT_TICKS = 5;
+const LATELY = 4; // what was lost is counted over so many times that links are told of, half a second each
 export const LEVELS = { warning: "warn", blocking: "bad" }; // classes of what checks say
 
 export function element(name, text, className) {
@@ -11,7 +15,18 @@ export function element(name, text, className) {
 }
 
 function number(value, digits) {
-  return Number.isNaN(value) || value === undefined ? "–" : value.toFixed(digits);
+  return Number.isNaN(value) || value === undefined ? "–" : value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
+}
+
+// Of many reasons those that differ by their numbers alone are one.
+function alike(reasons) {
+  const found = new Map();
+  for (const [text, ids] of reasons) {
+    const kind = text.replace(/\d+(\.\d+)?/g, "#");
+    const known = found.get(kind);
+    found.set(kind, known ? [`${known[0].replace(/, or alike$/, "")}, or alike`, [...known[1], ...ids]] : [text, ids]);
+  }
+  return found.values();
 }
 
 // A row for each robot: state and why, how far from its place, nearest robot, speed, age of messages, tick.
@@ -58,7 +73,7 @@ export class Robots {
     const reasons = new Map();
     this.rows.forEach(({ row: line, cells }, index) => {
       const value = (name) => row[index * columns + at[name]];
-      const [, state, reason] = this.source.state(index, frame.t);
+      const [, state, reason] = this.source.state(index, frame.t, frame.now);
       const [x, y] = place[index];
       let [nearest, who] = [Infinity, null];
       place.forEach(([u, v], other) => {
@@ -87,8 +102,10 @@ export class Robots {
         reasons.set(text, [...(reasons.get(text) || []), scene.robots[index].id]);
       }
     });
-    const why = [...reasons].map(([text, ids]) => `${ids.length > 6 ? `${ids.length} robots` : ids.join(", ")} ${text}`);
-    const shown = why.slice(0, 4).join("; ") + (why.length > 4 ? `; and ${why.length - 4} more` : "");
+    const why = [...(reasons.size > REASONS ? alike(reasons) : reasons)].map(([text, ids]) => {
+      return `${ids.length > 6 ? `${ids.length} robots` : ids.join(", ")} ${text}`;
+    });
+    const shown = why.slice(0, REASONS).join("; ") + (why.length > REASONS ? `; and ${why.length - REASONS} more` : "");
     if (this.why.textContent !== shown) this.why.textContent = shown;
   }
 }
@@ -102,8 +119,9 @@ export class Events {
 
   grow() {
     const { list, items, scene: { marks } } = this;
-    if (items.length > marks.length) {
-      items.length = 0; // another drive
+    if (items.length > marks.length || this.order !== marks.order) {
+      this.order = marks.order;
+      items.length = 0; // another drive, or one has come that belongs between others
       list.replaceChildren();
     }
     if (items.length < marks.length) {
@@ -130,37 +148,46 @@ export class Events {
 // How each link is: of those that hear each other, the age of the newest message and what was lost lately.
 export class Links {
   constructor(parent, source, onChoose) {
-    Object.assign(this, { parent, source, onChoose, before: new Map(), lost: new Map(), never: new Set() });
+    Object.assign(this, { parent, source, onChoose, before: new Map(), lost: new Map(), age: new Map() });
+    this.periodMs = 1000 / source.scene.rate_hz;
     this.table = element("table");
     parent.append(element("h2", "Links: age of the last message in ms, lost of late"), this.table);
     parent.hidden = true;
   }
 
-  // What is wrong with the link between two robots, "" for nothing: the share that was lost, either way.
+  isSilent(age) {
+    return age < 0 || age > Math.max(SILENT_MS, SILENT_TICKS * this.periodMs);
+  }
+
+  // What is wrong with the link between two robots, "" for nothing: silence, or the share that was lost, of
+  // the way that is worse.
   trouble(one, other) {
     const both = [`${one} ${other}`, `${other} ${one}`];
-    if (both.some((key) => this.never.has(key))) return "silent";
+    const silent = both.map((key) => this.age.get(key)).filter((age) => age !== undefined && this.isSilent(age));
+    if (silent.length) return silent.some((age) => age < 0) ? "never heard" : `silent ${(Math.max(...silent) / 1000).toFixed(1)} s`;
     const lost = Math.max(...both.map((key) => this.lost.get(key) || 0));
     return lost > TROUBLE ? `${(100 * lost).toFixed(0)} % lost` : "";
   }
 
   show(links) {
     const { scene } = this.source;
-    this.never = new Set(links.filter(([, , age]) => age < 0).map(([from, to]) => `${from} ${to}`));
+    this.age = new Map(links.map(([from, to, age]) => [`${from} ${to}`, age]));
     const ids = scene.robots.map(({ id }) => id);
-    for (const [from, to, , received, lost] of links) {
+    for (const [from, to, age, received, counted] of links) {
       const key = `${from} ${to}`;
       const past = this.before.get(key) || [];
+      // What is lost is counted as the next message comes; of a silent link that is what should have come since.
+      const lost = counted + (this.isSilent(age) && age > 0 ? Math.floor(age / this.periodMs) : 0);
       past.push([received, lost]);
-      if (past.length > 10) past.shift();
+      if (past.length > LATELY) past.shift();
       this.before.set(key, past);
       const [[r0, l0]] = past;
       const all = received - r0 + lost - l0;
-      this.lost.set(key, all > 0 ? (lost - l0) / all : 0);
+      this.lost.set(key, all > 0 ? Math.min(Math.max((lost - l0) / all, 0), 1) : 0);
     }
     this.parent.hidden = !links.length;
     // Of many robots only those links that have something wrong.
-    const bad = links.filter(([from, to, age]) => age < 0 || this.lost.get(`${from} ${to}`) > 0.01);
+    const bad = links.filter(([from, to, age]) => this.isSilent(age) || this.lost.get(`${from} ${to}`) > 0.01);
     if (ids.length > 12) return this.list(bad, links.length);
     const cells = new Map(links.map((each) => [`${each[0]} ${each[1]}`, each]));
     const rows = [["to \\ from", ...ids].map((text) => ({ text }))];
@@ -170,7 +197,7 @@ export class Links {
         if (!link) return { text: "" };
         const lost = this.lost.get(`${from} ${to}`);
         const text = link[2] < 0 ? "never" : `${link[2]}${lost > 0.005 ? ` ${(100 * lost).toFixed(0)}%` : ""}`;
-        return { text, link, className: link[2] < 0 || lost > 0.2 ? "bad" : lost > 0.01 ? "warn" : "" };
+        return { text, link, className: this.isSilent(link[2]) || lost > 0.2 ? "bad" : lost > 0.01 ? "warn" : "" };
       })]);
     }
     return this.fill(rows);
@@ -178,10 +205,11 @@ export class Links {
 
   list(bad, count) {
     const rows = [[{ text: `${count} links, ${bad.length} of which lose messages or are silent` }]];
+    bad.sort(([, , one], [, , other]) => this.isSilent(other) - this.isSilent(one));
     for (const [from, to, age] of bad.slice(0, 20)) {
       const lost = this.lost.get(`${from} ${to}`);
       const text = `${from} to ${to}: ${age < 0 ? "never heard" : `${age} ms`}, ${(100 * lost).toFixed(0)} % lost`;
-      rows.push([{ text, link: [from, to], className: "warn" }]);
+      rows.push([{ text, link: [from, to], className: this.isSilent(age) ? "bad" : "warn" }]);
     }
     return this.fill(rows);
   }

@@ -3,6 +3,7 @@
 import { Drawing } from "handfast/drawing.js";
 
 const MARGIN = 0.12;
+const CLICK_PX = 4; // who moves the pointer by less has clicked
 const [TOP_PX, BOTTOM_PX] = [40, 24]; // buttons and legend are there
 
 export class Plan extends Drawing {
@@ -33,6 +34,7 @@ export class Plan extends Drawing {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (this.width === width && this.height === height && this.ratio === ratio) return;
     Object.assign(this, { width, height, ratio });
+    if (this.auto) this.fitted = false;
     this.canvas.width = Math.round(width * ratio);
     this.canvas.height = Math.round(height * ratio);
   }
@@ -86,8 +88,11 @@ export class Plan extends Drawing {
   eachPlace(put) {
     const { at, columns, scene } = this.source;
     const { row } = this.frame;
-    scene.robots.forEach((_, k) => {
-      put(row[k * columns + at.x], row[k * columns + at.y]);
+    scene.robots.forEach(({ hand_m }, k) => {
+      const [x, y] = [row[k * columns + at.x], row[k * columns + at.y]];
+      const body = 2 * Math.abs(hand_m); // it is about as long, on any side of its hand
+      put(x - body, y - body);
+      put(x + body, y + body);
       put(row[k * columns + at.place_x], row[k * columns + at.place_y]);
     });
   }
@@ -135,7 +140,9 @@ export class Plan extends Drawing {
       const before = pointers.get(event.pointerId);
       if (!before) return;
       const here = [event.offsetX, event.offsetY];
-      this.auto = false;
+      const passed = Math.hypot(here[0] - before[0], here[1] - before[1]);
+      this.moved += passed;
+      if (this.moved > CLICK_PX && !this.held) this.auto = false;
       const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, each]) => each);
       if (others.length) {
         const apart = (a) => Math.hypot(a[0] - others[0][0], a[1] - others[0][1]);
@@ -147,11 +154,10 @@ export class Plan extends Drawing {
         this.centre[0] -= (here[0] - before[0]) / this.scale;
         this.centre[1] += (here[1] - before[1]) / this.scale;
       }
-      this.moved += Math.hypot(here[0] - before[0], here[1] - before[1]);
       pointers.set(event.pointerId, here);
     });
     const end = (event) => {
-      if (!pointers.delete(event.pointerId) || event.type !== "pointerup" || this.moved > 4) return;
+      if (!pointers.delete(event.pointerId) || event.type !== "pointerup" || this.moved > CLICK_PX) return;
       const robot = this.nearest(event.offsetX, event.offsetY);
       this.onChoose(robot, robot === null ? this.edgeAt(event.offsetX, event.offsetY) : null);
     };
@@ -216,7 +222,7 @@ export class Plan extends Drawing {
     const { at, columns, scene } = this.source;
     return scene.robots.some((_, k) => {
       const [px, py] = this.toScreen(row[k * columns + at.x], row[k * columns + at.y]);
-      return px < 0 || py < 0 || px > this.width || py > this.height;
+      return px < 0 || py < TOP_PX || px > this.width || py > this.height - BOTTOM_PX;
     });
   }
 

@@ -101,6 +101,8 @@ export class Player {
       link: () => this.copyLink(),
     };
     for (const [id, act] of Object.entries(actions)) find(id).addEventListener("click", act);
+    // One that was clicked does not keep the keyboard: space plays.
+    document.addEventListener("click", ({ detail, target }) => detail && target.closest("button")?.blur());
     const keys = {
       " ": "play", ArrowLeft: "back", ArrowRight: "on", f: "fit", o: "follow", "+": "zoom-in", "-": "zoom-out",
       t: "trails", p: "places", v: "forces", l: "link",
@@ -158,6 +160,8 @@ export class Player {
     if (this.plan.show.places) text += "; + place";
     if (this.plan.show.forces) text += "; forces: blue navigation, dashed pink constraint";
     if (find("scale").textContent !== text) find("scale").textContent = text;
+    const next = this.plan.auto && !this.plan.near ? "fit robots" : "fit all";
+    if (find("fit").textContent !== next) find("fit").textContent = next;
   }
 
   copyLink() {
@@ -172,7 +176,7 @@ export class Player {
   }
 
   seek(t, mark) {
-    this.t = Math.min(Math.max(t, 0), this.source.end);
+    this.t = Math.min(Math.max(t, this.source.begin || 0), this.source.end);
     if (this.follows) this.follows = false;
     this.buttons();
     if (mark && mark.robots.length) {

@@ -18,6 +18,10 @@ export class Reshape {
     this.said = "";
     this.fine = false;
     this.player.plan.stamp = {};
+    if (!this.active) return;
+    const { width, height } = this.player.plan;
+    const isSeen = ([x, y]) => x > 0 && y > 0 && x < width && y < height;
+    if (![...this.places().values()].every((place) => isSeen(this.player.plan.toScreen(...place)))) this.player.plan.fit(true);
   }
 
   // Places that members have now, with what was dragged: id -> [x, y], m.

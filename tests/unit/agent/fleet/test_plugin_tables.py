@@ -175,7 +175,7 @@ def test_a_recording_is_looked_at_where_its_plugins_are_not():
             'no plugin has the name "jiont"; did you mean joint?',
         ),
         (["control.law=a.b:C"], None, SMALL, "--set control.law: a.b:C: there is no module a"),
-        (["control.law=3", "control.spring.stiffness=1"], None, SMALL, '--set control.law: must be one of paper, '),
+        (["control.law=3", "control.spring.stiffness=1"], None, SMALL, "--set control.law: must be one of "),
     ],
 )
 def test_one_line_says_what_is_wrong(overrides: list[str], law: str | None, text: str, said: str) -> None:

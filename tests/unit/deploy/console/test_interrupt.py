@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from typing import Final
 import pytest
 
 from deploy import cli
-from deploy.console.interrupt import Interrupt, remembered
+from deploy.console.interrupt import Interrupt, remembered, usual
 
 
 @pytest.fixture(autouse=True)
@@ -71,6 +72,25 @@ def test_one_that_is_ignored_stays_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with remembered():
         signal.raise_signal(signal.SIGINT)
+
+
+def test_a_task_is_cancelled_and_never_interrupted_in_its_midst() -> None:
+    ended = []
+
+    async def serve() -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            await asyncio.sleep(30.0)
+        except BaseException as error:
+            ended.append(type(error))
+            raise
+
+    with remembered():
+        before = signal.getsignal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt), usual():
+            asyncio.run(serve())
+        assert signal.getsignal(signal.SIGINT) is before
+    assert ended == [asyncio.CancelledError]
 
 
 def test_the_command_ends(monkeypatch: pytest.MonkeyPatch) -> None:

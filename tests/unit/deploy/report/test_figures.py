@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from agent.messages import key_expressions
@@ -14,6 +15,7 @@ from deploy.recording.collector import RunData
 from deploy.recording.recorder import RecordingError
 from deploy.report import figures, report
 from deploy.report.figures import remove_figures, write_figures
+from deploy.report.link_figure import _with_gaps
 from deploy.report.plotting import new_figure
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
@@ -155,3 +157,9 @@ def test_nothing_of_a_path_figure_is_cut_off(rows: int) -> None:
         assert box.x1 <= whole.x1
         assert whole.y0 <= box.y0
         assert box.y1 <= whole.y1
+
+
+def test_no_line_is_drawn_over_a_time_when_there_was_no_link() -> None:
+    t, values = _with_gaps(np.array([0.0, 0.4, 10.0, 10.4]), np.array([1.0, 2.0, 3.0, 4.0]))
+    assert t.tolist() == [0.0, 0.4, 0.4, 10.0, 10.4]
+    assert np.isnan(values).tolist() == [False, False, True, False, False]

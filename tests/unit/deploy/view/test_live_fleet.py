@@ -375,6 +375,18 @@ def test_the_panel_says_how_the_fleet_stands(running: Running) -> None:
     assert panel["lacking"]["order"] == []
 
 
+def test_a_reason_that_counts_is_one_change_and_told_as_it_is_now(running: Running) -> None:
+    running.begin()
+    running.come()
+    for seconds in ("0.21", "0.71", "1.21"):
+        running.status(1, "fault", f"plant silent for {seconds} s")
+        running.status(2, "running")
+        running.step(PANEL_NS)
+    assert [why for _, state, why in states(running, 1) if state == "fault"] == ["plant silent for 0.21 s"]
+    assert parted(running, "panel")["why"]["1"] == ["fault", "plant silent for 1.21 s"]
+    assert "2" not in parted(running, "panel")["why"]
+
+
 def test_links_are_as_who_hears_says(running: Running) -> None:
     running.status(1, neighbours=(heard_of(2), heard_of(3, age_us=-1, received=0, lost=0)))
     running.step(PANEL_NS)
