@@ -41,6 +41,7 @@ NAMES: Final = (
     "bridge",
     "recording",
     "view",
+    "view_in_browser",
     "hosts",
     "admission",
     "stop_under_flood",

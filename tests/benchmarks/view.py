@@ -7,50 +7,34 @@ say, without links.
 
 from __future__ import annotations
 
-import json
-import re
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import Final, cast
 
 import numpy as np
-import tomli_w
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Origin
 
 from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, load_fleet, parse_fleet, to_dict
+from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
+from agent.messages.codec import encode
 from agent.messages.types import Mission, NeighbourStatus, PlantState, Status, Total
-from deploy.console.arguments import fleet_path
-from deploy.processes.placement import place
 from deploy.session.joined_bus import OperatorBus
-from deploy.session.operator_bus import operator_bus
 from deploy.view.live_fleet import FRAME_NS, LiveFleet
 from deploy.view.pages import _Page
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
-from tests.benchmarks.processes import (
-    BenchmarkError,
-    Group,
-    Observer,
-    cpu_s,
-    environment,
-    handfast,
-    start_handfast,
-)
+from tests.benchmarks.processes import Observer, cpu_s, environment
+from tests.benchmarks.view_fleet import driving, served
+from tests.benchmarks.view_stops import Stops, stops
 
 SETTLE_S: Final = 3.0
 MANY: Final = 100
@@ -67,31 +51,28 @@ class _Found:
     server: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     tick_us: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     missed: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-    stops_ms: list[float] = field(default_factory=list)
+    stops: dict[str, Stops] = field(default_factory=dict)
 
 
 def run(options: Options) -> Result:
-    rounds, window_s, stops = (2, 8.0, 10) if options.quick else (5, 20.0, 100)
+    rounds, window_s, count = (2, 8.0, 10) if options.quick else (5, 20.0, 20)
     found = _Found()
-    fleet, ports, _ = place(resolved(load_fleet(fleet_path("delta"))))
-    try:
-        with tempfile.TemporaryDirectory(prefix="handfast-bench-") as name:
-            _live(found, fleet, Path(name), rounds, window_s, stops)
-    finally:
-        ports.close()
+    with tempfile.TemporaryDirectory(prefix="handfast-bench-") as name:
+        _live(found, Path(name), rounds, window_s, count)
     step_ms, frame_bytes, turn_bytes = _fed(MANY)
     few_ms, few_bytes, _ = _fed(6)
     per_cent = 100.0 * NS_PER_S / FRAME_NS / 1e3
-    p99 = float(np.percentile(found.stops_ms, 99))
     figures = [
         Figure("server, 6 robots, 1 page", median(found.server["1 page"]), "% of a core", SERVER_CPU),
         Figure("its own part of that, fed", few_ms * per_cent, "% of a core"),
         Figure(f"its own part, fed, {MANY} robots", step_ms * per_cent, "% of a core", SERVER_CPU),
         Figure(f"a frame of {MANY} robots", frame_bytes, "bytes", FRAME_BYTES, note=f"6 robots: {few_bytes}"),
         Figure(f"a turn of {MANY} robots with all that is new", turn_bytes, "bytes"),
-        Figure("STOP on a page to the last body that brakes, p99", p99, "ms", STOP_MS,
-               note=f"median {median(found.stops_ms):.0f}, of {len(found.stops_ms)}"),
-    ]  # fmt: skip
+    ]
+    for arm, each in found.stops.items():
+        note = f"median {median(each.ms):.0f}, of {len(each.ms)}; {each.lost_percent:.1f} % lost"
+        name = f"STOP on a page to the last body that brakes, {arm}, p99"
+        figures.append(Figure(name, float(np.percentile(each.ms, 99)), "ms", STOP_MS, note=note))
     rows = [
         [arm, spread(found.server[arm]), spread(found.tick_us[arm]), str(found.missed[arm])] for arm in ARMS
     ]
@@ -102,20 +83,13 @@ def run(options: Options) -> Result:
 # ---------------------------------------------------------------------- real processes
 
 
-def _live(found: _Found, fleet: Fleet, folder: Path, rounds: int, window_s: float, stops: int) -> None:
-    fleet_file = folder / "fleet.toml"
-    fleet_file.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
-    with Group(folder) as robots:
-        start_handfast(robots, fleet, fleet_file)
-        with Observer(fleet, robots) as observer:
-            observer.wait_alive()
-            observer.drive()
-            with _server(fleet_file, folder) as (server, address):
-                for number in range(rounds):
-                    for arm in [*ARMS][:: 1 if number % 2 == 0 else -1]:
-                        with _pages(address, *ARMS[arm]):
-                            _window(found, arm, observer, server, window_s)
-                found.stops_ms += _stops(fleet, address, stops)
+def _live(found: _Found, folder: Path, rounds: int, window_s: float, count: int) -> None:
+    with driving(folder) as (fleet, fleet_file, observer), served(fleet_file, folder) as (server, address):
+        for number in range(rounds):
+            for arm in [*ARMS][:: 1 if number % 2 == 0 else -1]:
+                with _pages(address, *ARMS[arm]):
+                    _window(found, arm, observer, server, window_s)
+        found.stops = stops(fleet, address, rounds, count)
 
 
 def _window(found: _Found, arm: str, observer: Observer, server: int, window_s: float) -> None:
@@ -128,25 +102,6 @@ def _window(found: _Found, arm: str, observer: Observer, server: int, window_s: 
 
 
 @contextmanager
-def _server(fleet_file: Path, folder: Path) -> Iterator[tuple[int, str]]:
-    """The process of ``handfast view`` and the address of its page."""
-    out = folder / "view.out"
-    with open(out, "wb") as stream:
-        command = handfast("view", str(fleet_file), "--no-browser")
-        process = subprocess.Popen(command, stdout=stream, stderr=stream, env=environment())
-    try:
-        end = time.monotonic() + 20.0
-        while not (address := re.search(r"http://\S+", out.read_text())):
-            if time.monotonic() > end or process.poll() is not None:
-                raise BenchmarkError(f"no page: {out.read_text()[-500:]}")
-            time.sleep(0.05)
-        yield process.pid, address[0]
-    finally:
-        process.kill()
-        process.wait()
-
-
-@contextmanager
 def _pages(address: str, count: int, frozen: int) -> Iterator[None]:
     command = [sys.executable, "-P", "-m", "tests.benchmarks.view_clients", address, str(count), str(frozen)]
     process = subprocess.Popen(command, env=environment())
@@ -155,51 +110,6 @@ def _pages(address: str, count: int, frozen: int) -> Iterator[None]:
     finally:
         process.kill()
         process.wait()
-
-
-def _stops(fleet: Fleet, address: str, count: int) -> list[float]:
-    """How long after a page has said STOP the last body said that it brakes, ms, time and again."""
-    where, _, token = address.partition("#token=")
-    origin = where.rstrip("/")
-    found = []
-    where = f"{origin.replace('http', 'ws', 1)}/live"
-    with operator_bus(fleet) as bus, connect(where, origin=Origin(origin), proxy=None, max_size=None) as talk:
-        bus.subscribe(key_expressions.plant_state(fleet.fleet.name, "*"), 65_536)
-        talk.send(json.dumps({"token": token}))
-        threading.Thread(target=_read, args=(talk,), daemon=True).start()
-        for number in range(count):
-            _until(fleet, bus, driving=True)
-            begun = time.monotonic()
-            _say(talk, {"id": f"stop {number}", "kind": "stop"})
-            _until(fleet, bus, driving=False)
-            found.append((time.monotonic() - begun) * 1e3)
-            _say(talk, {"id": f"resume {number}", "kind": "resume", "seen_s": time.time()})
-    return found
-
-
-def _read(talk: ClientConnection) -> None:
-    """Reads what comes, as pages do: who answers nothing is gone."""
-    with suppress(ConnectionClosed):
-        for number, _ in enumerate(each for each in talk if isinstance(each, bytes)):
-            talk.send(str(number + 1))
-
-
-def _say(talk: ClientConnection, order: dict[str, str | float]) -> None:
-    talk.send(json.dumps({"order": order}))
-
-
-def _until(fleet: Fleet, bus: OperatorBus, *, driving: bool) -> None:
-    """Waits until all bodies drive, or all brake."""
-    states: dict[int, bool] = {}
-    end = time.monotonic() + 20.0
-    while len(states) < len(fleet.ids) or set(states.values()) != {driving}:
-        if time.monotonic() > end:
-            raise BenchmarkError(f"not all bodies {'drive' if driving else 'brake'}: {states}")
-        time.sleep(0.001)
-        for _, payload in bus.drain():
-            message = decode(payload)
-            if type(message) is PlantState:
-                states[message.robot] = message.driving
 
 
 # ---------------------------------------------------------------------- fed

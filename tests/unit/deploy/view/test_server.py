@@ -175,6 +175,19 @@ def test_a_page_of_this_server_may_talk(talking: Server) -> None:
             connection.recv(10)
 
 
+def test_what_is_said_after_something_else_does_not_wait_for_its_acknowledgement() -> None:
+    found = []
+
+    async def talk(connection: ServerConnection) -> None:
+        carried = connection.transport.get_extra_info("socket")
+        found.append(carried.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+
+    with serving(talk) as server, talk_to(server) as connection, pytest.raises(ConnectionClosed):
+        connection.recv(10)
+    assert found
+    assert all(found)
+
+
 def test_a_web_socket_is_at_one_place_alone(talking: Server) -> None:
     for path in ("", "rows", f"{TALK_PATH}/", f"/{TALK_PATH}", "nothing"):
         with pytest.raises(InvalidStatus):
