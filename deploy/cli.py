@@ -326,7 +326,7 @@ class _CommandParser(argparse.ArgumentParser):
 
             names = [name for action in self._actions for name in action.option_strings]
             spelled = next((word.partition("=")[0] for word in unknown if word.startswith("-")), "")
-            question = did_you_mean(spelled, names, str)
+            question = did_you_mean(spelled, names)
             hint = f" ({question})" if question else ""
             self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return options, unknown

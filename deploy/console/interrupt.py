@@ -40,7 +40,7 @@ def remembered() -> Iterator[None]:
 
 
 @contextmanager
-def usual() -> Iterator[None]:
+def as_python_does() -> Iterator[None]:
     """A context in which Ctrl-C is answered as Python does by itself.
 
     Only then does `asyncio.run` cancel what it runs. Raised in the midst of a task, an interrupt would leave

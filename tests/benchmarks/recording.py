@@ -15,17 +15,12 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-import tomli_w
-
-from agent.fleet.loading import load_fleet, to_dict
 from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import MESSAGES, Segment
-from deploy.console.arguments import fleet_path
-from deploy.processes.placement import place
+from tests.benchmarks.driven_fleet import driving
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
-from tests.benchmarks.processes import ROLES, Group, Observer, cpu_s, mean, pss_mb, start_handfast
+from tests.benchmarks.processes import ROLES, Group, Observer, cpu_s, mean, pss_mb
 
 RECORDER: Final = "recorder"
 SETTLE_S: Final = 3.0
@@ -47,38 +42,27 @@ class _Found:
 
 
 def run(options: Options) -> Result:
-    fleet = resolved(load_fleet(fleet_path("delta")))
     rounds, window_s = (2, 10.0) if options.quick else (5, 20.0)
     found = _Found()
-    fleet, ports, _ = place(fleet)
-    try:
-        with tempfile.TemporaryDirectory(prefix="handfast-bench-") as name:
-            folder = Path(name)
-            fleet_file = folder / "fleet.toml"
-            fleet_file.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
-            with Group(folder) as robots:
-                start_handfast(robots, fleet, fleet_file)
-                with Observer(fleet, robots) as observer:
-                    observer.wait_alive()
-                    observer.drive()
+    with tempfile.TemporaryDirectory(prefix="handfast-bench-") as name:
+        folder = Path(name)
+        with driving(folder) as (fleet, fleet_file, robots, observer):
 
-                    def beside(number: int) -> None:
-                        recordings = folder / str(number)
-                        with Group(folder) as recorders:
-                            _record(recorders, fleet, fleet_file, recordings)
-                            _measure(found, " with", fleet, observer, robots, recorders, recordings, window_s)
-                        _read(found, fleet, recordings)
+            def beside(number: int) -> None:
+                recordings = folder / str(number)
+                with Group(folder) as recorders:
+                    _record(recorders, fleet, fleet_file, recordings)
+                    _measure(found, " with", fleet, observer, robots, recorders, recordings, window_s)
+                _read(found, fleet, recordings)
 
-                    def alone(_: int) -> None:
-                        with Group(folder) as nobody:
-                            _measure(found, " without", fleet, observer, robots, nobody, folder, window_s)
+            def alone(_: int) -> None:
+                with Group(folder) as nobody:
+                    _measure(found, " without", fleet, observer, robots, nobody, folder, window_s)
 
-                    for number in range(rounds):
-                        # The order of the arms changes from round to round.
-                        for arm in (beside, alone) if number % 2 == 0 else (alone, beside):
-                            arm(number)
-    finally:
-        ports.close()
+            for number in range(rounds):
+                # The order of the arms changes from round to round.
+                for arm in (beside, alone) if number % 2 == 0 else (alone, beside):
+                    arm(number)
     return _result(found)
 
 

@@ -31,9 +31,10 @@ from agent.messages.types import Mission, NeighbourStatus, PlantState, Status, T
 from deploy.session.joined_bus import OperatorBus
 from deploy.view.live_fleet import FRAME_NS, LiveFleet
 from deploy.view.pages import _Page
+from tests.benchmarks.driven_fleet import driving
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
 from tests.benchmarks.processes import Observer, cpu_s, environment
-from tests.benchmarks.view_fleet import driving, served
+from tests.benchmarks.view_server import served
 from tests.benchmarks.view_stops import Stops, stops
 
 SETTLE_S: Final = 3.0
@@ -84,7 +85,7 @@ def run(options: Options) -> Result:
 
 
 def _live(found: _Found, folder: Path, rounds: int, window_s: float, count: int) -> None:
-    with driving(folder) as (fleet, fleet_file, observer), served(fleet_file, folder) as (server, address):
+    with driving(folder) as (fleet, fleet_file, _, observer), served(fleet_file, folder) as (server, address):
         for number in range(rounds):
             for arm in [*ARMS][:: 1 if number % 2 == 0 else -1]:
                 with _pages(address, *ARMS[arm]):

@@ -19,9 +19,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from playwright.sync_api import FloatRect, Page
 
+from tests.benchmarks.driven_fleet import driving
 from tests.benchmarks.figures import Figure, Options, Result
 from tests.benchmarks.processes import BenchmarkError, NotHereError, environment, handfast
-from tests.benchmarks.view_fleet import driving, served
+from tests.benchmarks.view_server import served
 from tests.process.chromium import NAMES, opened
 
 FRAME_MS: Final = 50.0
@@ -111,7 +112,7 @@ def _p99(name: str, took_ms: list[float]) -> Figure:
 
 def _live(folder: Path, window_s: float) -> _Live:
     with (
-        driving(folder) as (_, fleet_file, observer),
+        driving(folder) as (_, fleet_file, _, observer),
         served(fleet_file, folder) as (_, address),
         opened(folder) as page,
     ):

@@ -163,6 +163,8 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
             assert page.evaluate("handfast.t === handfast.source.rows[0]")
             page.locator("#events button", has_text="told to stop").click()
             expect(page.locator("#now")).to_have_attribute("aria-pressed", "false")
+            page.evaluate("handfast.source.happened({ t_s: 0, kind: 'order', text: 'heard late', robots: [] })")
+            expect(page.locator("#events button").first).to_contain_text("heard late")
             page.locator("#now").click()
             expect(page.locator("#about")).to_contain_text("live")
             expect(page.locator("#now")).to_have_attribute("aria-pressed", "true")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.common.exit import INTERRUPTED
 from agent.fleet.model import FleetError
 from deploy.console.arguments import InputError, describe
-from deploy.console.interrupt import usual
+from deploy.console.interrupt import as_python_does
 from deploy.inventory.running import NoAnswerError, handled
 from deploy.recording.run_files import RECORDING_FILE
 
@@ -227,6 +227,6 @@ def _serve(options: argparse.Namespace, address: str, serving: Coroutine[Any, An
     print(f"{address}  (Ctrl-C ends it)", flush=True)
     if options.browser:
         open_browser(address)
-    with suppress(KeyboardInterrupt), usual():
+    with suppress(KeyboardInterrupt), as_python_does():
         asyncio.run(serving)
     return INTERRUPTED

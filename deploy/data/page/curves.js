@@ -3,7 +3,6 @@ import { COLORS } from "handfast/drawing.js";
 
 const LEFT = 4;
 const TOP = 16;
-const BEFORE_S = 0.2; // a curve is not known further before its begin
 
 // What is drawn: heading, lines (each [numbers, colour, dash]), and a line that should not be crossed.
 export function curvesOf(scene) {
@@ -73,8 +72,7 @@ export class Curves {
     const times = this.scene.series.t;
     let bin = times.length - 1;
     while (bin > 0 && times[bin] > t) bin -= 1;
-    const isKnown = times.length > 0 && times[0] <= t + BEFORE_S;
-    const here = isKnown ? curve.lines.map(([values]) => values[bin]).filter((value) => value !== null) : [];
+    const here = curve.lines.map(([values]) => values[bin]).filter((value) => value !== null);
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.font = "11px system-ui, sans-serif";
     c.fillStyle = color("soft");

@@ -151,7 +151,7 @@ export class Live {
     const [t, made, number, columns] = [head.getFloat64(0, true), head.getFloat64(8, true), head.getUint32(16, true), head.getUint32(20, true)];
     const numbers = new Float32Array(data, 24);
     if (!columns) return this.came(numbers, number);
-    this.remember();
+    this.keepLast();
     this.received += 1;
     this.number = number;
     this.made = made;
@@ -165,7 +165,7 @@ export class Live {
   }
 
   // Where each body was when it was heard last.
-  remember() {
+  keepLast() {
     this.scene.robots.forEach((_, k) => {
       const [x, y, heading] = this.row.subarray(k * this.columns, k * this.columns + 3);
       if (!Number.isNaN(x)) this.last.set(k, { x, y, heading, at: this.arrived });

@@ -19,7 +19,7 @@ function number(value, digits) {
 }
 
 // Of many reasons those that differ by their numbers alone are one.
-function alike(reasons) {
+function byKind(reasons) {
   const found = new Map();
   for (const [text, ids] of reasons) {
     const kind = text.replace(/\d+(\.\d+)?/g, "#");
@@ -102,7 +102,7 @@ export class Robots {
         reasons.set(text, [...(reasons.get(text) || []), scene.robots[index].id]);
       }
     });
-    const why = [...(reasons.size > REASONS ? alike(reasons) : reasons)].map(([text, ids]) => {
+    const why = [...(reasons.size > REASONS ? byKind(reasons) : reasons)].map(([text, ids]) => {
       return `${ids.length > 6 ? `${ids.length} robots` : ids.join(", ")} ${text}`;
     });
     const shown = why.slice(0, REASONS).join("; ") + (why.length > REASONS ? `; and ${why.length - REASONS} more` : "");

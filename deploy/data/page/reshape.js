@@ -17,7 +17,6 @@ export class Reshape {
     this.moved.clear();
     this.said = "";
     this.fine = false;
-    this.player.plan.stamp = {};
     if (!this.active) return;
     const { width, height } = this.player.plan;
     const isSeen = ([x, y]) => x > 0 && y > 0 && x < width && y < height;
@@ -50,7 +49,6 @@ export class Reshape {
       const [x, y] = this.moved.get(found) || [0, 0];
       this.moved.set(found, [x + dx, y + dy]);
       this.ask();
-      plan.stamp = {};
     };
   }
 

@@ -16,7 +16,7 @@ from typing import Final
 import pytest
 
 from deploy import cli
-from deploy.console.interrupt import Interrupt, remembered, usual
+from deploy.console.interrupt import Interrupt, as_python_does, remembered
 
 
 @pytest.fixture(autouse=True)
@@ -87,7 +87,7 @@ def test_a_task_is_cancelled_and_never_interrupted_in_its_midst() -> None:
 
     with remembered():
         before = signal.getsignal(signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt), usual():
+        with pytest.raises(KeyboardInterrupt), as_python_does():
             asyncio.run(serve())
         assert signal.getsignal(signal.SIGINT) is before
     assert ended == [asyncio.CancelledError]
