@@ -226,8 +226,10 @@ export class Player {
       this.saidAt = now;
       this.about();
     }
-    if (look !== this.told && now - this.toldAt >= PANELS_MS) {
-      this.told = look;
+    const { marks } = this.scene; // they grow while somebody looks back as well
+    const news = `${look} ${marks.length} ${marks.order}`;
+    if (news !== this.told && now - this.toldAt >= PANELS_MS) {
+      this.told = news;
       this.toldAt = now;
       this.robots.show(frame, this.chosen);
       this.events.show(this.t);
