@@ -204,7 +204,8 @@ export class Drawing {
       if (this.show.forces) this.arrows(row, from, place);
       this.body(robot, row[from + at.heading], place, state, index === this.chosen);
       const isUsual = !state || state === "running";
-      const name = { texts: [...(isUsual ? [] : [`${robot.id} ${state}`]), `${robot.id}`], place };
+      const body = this.extent(robot, row[from + at.heading], place);
+      const name = { texts: [...(isUsual ? [] : [`${robot.id} ${state}`]), `${robot.id}`], place, body };
       if (index === this.chosen) names.unshift(name);
       else names.push(name);
     });
@@ -219,14 +220,17 @@ export class Drawing {
     this.body(robot, heading, place, "fault", false);
     c.globalAlpha = 1;
     const ago = ((performance.now() - at) / 1000).toFixed(0);
-    return { texts: [`${robot.id} seen ${ago} s ago`, `${robot.id}`], place };
+    const body = this.extent(robot, heading, place);
+    return { texts: [`${robot.id} seen ${ago} s ago`, `${robot.id}`], place, body };
   }
 
   // Names at their robots, each where it lies on none of those before: else shorter, or on the other side, or
   // not at all.
   labels(names) {
     const { c } = this;
-    const taken = names.map(({ place: [x, y] }) => [x - 5, y - 5, x + 5, y + 5]);
+    const taken = names.flatMap(({ place: [x, y], body: { x: u, y: v, size } }) => [
+      [x - 5, y - 5, x + 5, y + 5], [u - size, v - size, u + size, v + size],
+    ]);
     const isFree = ([x0, y0, x1, y1]) => x0 >= 0 && x1 <= this.width && !taken.some(
       ([u0, v0, u1, v1]) => x0 < u1 && u0 < x1 && y0 < v1 && v0 < y1,
     );
@@ -293,19 +297,24 @@ export class Drawing {
     c.restore();
   }
 
+  // Middle and size of a body on the screen. A hand point behind the axle has the body before it.
+  extent(robot, heading, [px, py]) {
+    const size = Math.max(7, Math.min(Math.abs(robot.hand_m) * this.scale, 40));
+    const back = Math.max(Math.abs(robot.hand_m) * this.scale, size) * (robot.hand_m < 0 ? -1 : 1);
+    const angle = Number.isNaN(heading) ? 0 : heading;
+    return { x: px - back * Math.cos(angle), y: py + back * Math.sin(angle), size };
+  }
+
   // A robot: its hand point, a dot, and behind it the body, which points where it heads. Its state is its shape:
   // a cross is in fault, a ring in trouble, a square at rest, what is hollow does not drive yet.
   body(robot, heading, [px, py], state, chosen) {
     const { c } = this;
-    const size = Math.max(7, Math.min(Math.abs(robot.hand_m) * this.scale, 40));
+    const { x, y, size } = this.extent(robot, heading, [px, py]);
     const look = this.source.scene.looks[state];
     const color = { failed: this.theme.bad, troubled: this.theme.warn }[look] || this.theme.robot;
     c.save();
-    c.translate(px, py);
+    c.translate(x, y);
     c.rotate(-(Number.isNaN(heading) ? 0 : heading));
-    // A hand point behind the axle has the body before it.
-    const back = Math.max(Math.abs(robot.hand_m) * this.scale, size);
-    c.translate(robot.hand_m < 0 ? back : -back, 0);
     c.fillStyle = c.strokeStyle = color;
     c.lineWidth = 2;
     c.beginPath();
