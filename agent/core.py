@@ -20,6 +20,7 @@ from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
 from agent.control.peers.lateness import IN_TIME_NS, OUTAGE_NS, STOOD_KEPT_NS
+from agent.control.peers.rolling import rolls_of
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice, MissionRefused
@@ -97,7 +98,7 @@ class Agent:
         self._latch = self._situation.latch
         self._relay = OrderRelay(fleet, robot, self._latch, self._missions)
         self._lasting = LastingOrders(self._latch)
-        self._own_hand = OwnHand(self._controller)
+        self._own_hand = OwnHand(self._controller, rolls_of(fleet.robot(robot)))
         self._event = _event_trigger(fleet, self._controller)
         self._outbox = Outbox(
             fleet, robot, self.phase_ns, self._peers, self._missions, self._latch, self._event
@@ -376,12 +377,18 @@ class Agent:
         drives = self.state in DRIVING
         if drives and was not in DRIVING:
             self._controller.restart()
-        out = self._drive(now_ns, here) if drives and here is not None else self._brake(now_ns)
+        if drives and here is not None:
+            out = self._drive(now_ns, here)
+        elif here is not None and self.state is State.HOLDING and conditions.hold == self._trust.hold:
+            out = self._stand_aside(now_ns, here)
+        else:
+            out = self._brake(now_ns)
         if self.state is not was or self._report.is_due(now_ns):
             out.append(self._status(now_ns))
         shown, doubt = self._own_hand.shown, self._own_hand.doubt
         if shown is not None:
-            out += self._outbox.beacon(now_ns, shown, doubt, following=self._follows)
+            obeys = self._own_hand.obeys
+            out += self._outbox.beacon(now_ns, shown, doubt, following=self._follows, obeys=obeys)
             self._controller.told(now_ns, shown, self._outbox.told_mark)
         self._relay.look(now_ns, situation.plant, situation.unmoved_ns)
         out += self._relay.due(now_ns)
@@ -469,6 +476,7 @@ class Agent:
             forces=drive.forces,
             multipliers=multipliers,
             own=drive.own,
+            obeys=self._own_hand.obeys,
         )
         self._report.sent_hands += len(hands) * len(controller.edges)
         return [self._outbox.wrench(now_ns, drive.force, drive.torque), *hands]
@@ -481,12 +489,26 @@ class Agent:
             for peer in (*(peer for _, peer in controller.edges), *controller.proximity.close)
         )
 
+    def _stand_aside(self, now_ns: int, here: Hand) -> list[Outgoing]:
+        """One that holds for others brakes, but gets out of the way of a vehicle that nothing commands."""
+        plant = self._situation.plant
+        assert plant is not None
+        asked = self._controller.evasion(plant, now_ns)
+        if asked is None or not max(map(abs, asked)) <= FLOAT_MAX:
+            return self._brake(now_ns)
+        self._controller.sent(now_ns, asked)
+        doubt, obeys = self._own_hand.doubt, self._own_hand.obeys
+        hands = self._outbox.hand(now_ns, here, doubt, following=False, obeys=obeys)
+        self._report.sent_hands += len(hands) * len(self._controller.edges)
+        return [self._outbox.wrench(now_ns, *asked), *hands]
+
     def _brake(self, now_ns: int) -> list[Outgoing]:
         self._controller.sent(now_ns, None)
         out = [self._outbox.wrench(now_ns, brake=True)]
         shown, doubt = self._own_hand.shown, self._own_hand.doubt
         if shown is not None:
-            hands = self._outbox.hand(now_ns, shown, doubt, following=self._follows)
+            obeys = self._own_hand.obeys
+            hands = self._outbox.hand(now_ns, shown, doubt, following=self._follows, obeys=obeys)
             self._report.sent_hands += len(hands) * len(self._controller.edges)
             out += hands
         return out

@@ -19,6 +19,10 @@ class Command(NamedTuple):
     torque: float
 
 
+COAST: Final = Command(0.0, 0.0)
+"""Nothing is asked for: on as fast as it goes."""
+
+
 class Reading(NamedTuple):
     """The state of a body at one instant.
 
@@ -65,6 +69,13 @@ class Check(NamedTuple):
     advice: str = ""
 
 
+class Said(NamedTuple):
+    """What a vehicle said itself: a text, `severity` one of `agent.messages.types.SEVERITIES`."""
+
+    severity: str
+    text: str
+
+
 class PlantBackend(Protocol):
     """A body. `PlantNode` calls `step` at a fixed rate and decides what is asked of the body."""
 
@@ -86,7 +97,8 @@ class PlantBackend(Protocol):
     def clear_to_drive(self) -> None:
         """Takes the fleet's clearance to drive: a new mission, or a resume.
 
-        A body that its operator has taken away and given back obeys again only after this.
+        A body that its operator has taken away and given back obeys again only after this. A vehicle's
+        process that starts in mid-drive hears it only of a resume: its operator may have had it before.
         """
         return None
 
@@ -96,6 +108,10 @@ class PlantBackend(Protocol):
         Args:
             now_ns: the present, ns of the wall clock.
         """
+        return ()
+
+    def status_texts(self) -> Sequence[Said]:
+        """What the body itself has said since the last call, oldest first; nothing of a simulated one."""
         return ()
 
 
@@ -157,12 +173,14 @@ class Plant(PlantBackend):
         section: name of its table in the fleet file, ``[robot.NAME]``; None: it has none.
         Settings: model of that table: a frozen dataclass whose fields are made with `setting`.
         vehicle: whether it is a real body, which stands where the world has it.
+        rolls_on_s: for so long it goes on as it went once its process is gone, s, and stops by itself then.
         simulated: what stands for it in virtual time; None: it itself.
     """
 
     section: ClassVar[str | None] = None
     Settings: ClassVar[type[Any] | None] = None
     vehicle: ClassVar[bool] = False
+    rolls_on_s: ClassVar[float] = 0.0
     simulated: ClassVar[type[Plant] | None] = None
 
     def __init__(self, setup: Setup) -> None:

@@ -17,6 +17,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
+    ACTS_PERIODS,
     BYTES_MAX,
     CHECK_TEXT_MIN,
     CHECKS_MAX,
@@ -29,6 +30,7 @@ from agent.messages.types import (
     Outgoing,
     PlantState,
     Resume,
+    StatusText,
     Stop,
     Wrench,
     clipped,
@@ -37,7 +39,7 @@ from agent.messages.versions import can_be
 from agent.supervision.lasting_orders import LastingOrders
 from agent.supervision.state_machine import at_rest
 from agent.supervision.stop_latch import StopLatch
-from plant.backend import Check, Command, PlantBackend, Reading
+from plant.backend import COAST, Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement
 
 CHECKS_PERIOD_NS: Final = NS_PER_S
@@ -51,7 +53,7 @@ class PlantNode:
     Attributes:
         rejected: messages that were refused, by reason.
         overruns: ticks that were missed.
-        condition: what it does, driving or braking, and why it brakes.
+        condition: what it does, driving or braking, or that its body is released, and why.
 
     Raises:
         agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
@@ -69,6 +71,7 @@ class PlantNode:
         self._key_wrench = key_expressions.wrench(name, robot)
         self.alive_keys: Final = (key_expressions.alive(name, robot, "plant"),)
         self._key_checks = key_expressions.checks(name, robot)
+        self._key_texts = key_expressions.status_texts(name, robot)
         geometry = None
         if not fleet.is_resolved:  # else without numpy, which takes its time
             from agent.formation.geometry import resolve
@@ -77,10 +80,12 @@ class PlantNode:
         self._missions = MissionChoice(fleet, geometry)
         self._epoch_ns = -1
         self._latch = StopLatch(robot, backend.clear_to_drive)
+        self._is_vehicle = fleet.robot(robot).kind.vehicle
+        self._begun_ns = 0
         self._lasting = LastingOrders(self._latch)
         self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
-        self._checks_due_ns = self._checks_sequence = 0
+        self._checks_due_ns = self._checks_sequence = self._texts_sequence = 0
         self._ingress = Ingress(fleet, robot, "plant", {"wrench": (robot,)})
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected
@@ -95,6 +100,7 @@ class PlantNode:
             self._ingress.on(key, Resume, self._accept_resume)
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
         self._has_checks = getattr(type(backend), "checks", None) is not PlantBackend.checks
+        self._speaks = getattr(type(backend), "status_texts", None) is not PlantBackend.status_texts
         self.subscriptions: Final = (
             key_expressions.stop(name),
             key_expressions.resume(name),
@@ -108,12 +114,15 @@ class PlantNode:
             self._key_state,
             self._key_truth,
             self._key_checks,
+            self._key_texts,
             *self._ingress.publications,
         )
         self.overruns = 0
         self._clock: MachineClock | None = None
         self._now_ns = self._ahead_ns = self._late_ns = 0
         self._wrench: Wrench | None = None
+        self._taken_ns: int | None = None
+        """Since when the wrench acts, None before it does."""
         self._followed: tuple[int, ...] = ()
         """By whose clock it goes, as the last wrench told."""
         self._ending = False
@@ -153,9 +162,12 @@ class PlantNode:
 
         A stop makes it brake until a resume. The mission and live faults say which faults hold on the way
         from the agent. A mission of another drive, and a resume, also let a body obey again that its operator
-        has given back. A message that is malformed, not for it or older than the last is counted and ignored.
+        has given back; a vehicle only those of after this process began: what its operator did before, it
+        cannot know. A message that is malformed, not for it or older than the last is counted and ignored.
         """
         self._now_ns = now_ns
+        if not self._begun_ns:
+            self._begun_ns = now_ns
         self._ingress.receive(now_ns - self._ahead_ns, key, payload)
 
     @property
@@ -204,7 +216,14 @@ class PlantNode:
     def _accept_resume(self, resume: Resume, now_ns: int) -> str | None:
         if not can_be(resume.version, now_ns):
             return self._latch.accept_ahead(resume, now_ns)
+        if not self._is_since(resume.time_ns):  # said again, by its operator or by others
+            self._latch.recall(resume)
+            return None
         return self._latch.accept_resume(resume)
+
+    def _is_since(self, time_ns: int) -> bool:
+        """Whether what is of that time (fleet's clock) lets this process drive its body."""
+        return not self._is_vehicle or time_ns >= self._begun_ns - self._ahead_ns
 
     def _accept(self, wrench: Wrench, now_ns: int) -> str | None:
         """Takes a wrench; returns why it is refused, None when it is not."""
@@ -217,7 +236,7 @@ class PlantNode:
             return "future"
         if self._wrench is not None and wrench.time_ns <= self._wrench.time_ns:
             return "out_of_order"
-        self._wrench = wrench
+        self._wrench, self._taken_ns = wrench, None
         return None
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
@@ -233,7 +252,8 @@ class PlantNode:
             self._epoch_ns = mission.epoch_ns
             self._numbers.begin(mission.epoch_ns)
             self._ingress.begin(mission.epoch_ns)
-            self._backend.clear_to_drive()
+            if self._is_since(min(mission.time_ns, mission.epoch_ns)):
+                self._backend.clear_to_drive()
         return None
 
     def _command(self, now_ns: int) -> Command | None:
@@ -255,7 +275,11 @@ class PlantNode:
             self.condition = "braking", "its agent brakes"
         else:
             self.condition = "driving", ""
-            return Command(wrench.force, wrench.torque)
+            if self._taken_ns is None:
+                self._taken_ns = now_ns
+            # It does not act on for longer: see `ACTS_PERIODS`.
+            acts = now_ns - self._taken_ns < ACTS_PERIODS * self.period_ns << wrench.step
+            return Command(wrench.force, wrench.torque) if acts else COAST
         return None
 
     def tick(self, now_ns: int) -> list[Outgoing]:
@@ -264,6 +288,8 @@ class PlantNode:
         Returns what to publish: its state as measured, the true one where that may differ, its checks.
         """
         self._now_ns = now_ns
+        if not self._begun_ns:
+            self._begun_ns = now_ns
         fleet_ns = now_ns - self._ahead_ns
         self._ingress.arrive(fleet_ns)
         self._lasting.look(None)
@@ -273,6 +299,8 @@ class PlantNode:
         if self._ahead_ns:
             reading = reading._replace(time_ns=reading.time_ns - self._ahead_ns)
         pose, self._obeying = reading.pose, reading.obeying
+        if reading.healthy and not (reading.obeying or self._ending or self._latch.stopped):
+            self.condition = "released", reading.note  # whatever its agent says
         self._at_rest = at_rest(pose.speed, pose.yaw_rate)
         sequence = self._numbers.next(reading.time_ns)
         out = []
@@ -287,6 +315,11 @@ class PlantNode:
             checks = self._backend.checks(now_ns)
             if checks and (self._changed(checks) or now_ns >= self._checks_due_ns):
                 out.append((self._key_checks, self._checks_message(checks, now_ns)))
+        if self._speaks:
+            for severity, text in self._backend.status_texts():
+                said = StatusText(self.robot, self._texts_sequence, fleet_ns, severity, clipped(text))
+                self._texts_sequence += 1
+                out.append((self._key_texts, encode(said)))
         out += self._ingress.outgoing(fleet_ns, flush=command is None)
         return out
 

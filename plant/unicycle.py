@@ -15,7 +15,8 @@ from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
-from plant.backend import Begin, Command, PlantBackend, Reading
+from agent.messages.types import ACTS_PERIODS
+from plant.backend import COAST, Begin, Command, PlantBackend, Reading
 
 TURN_MAX: Final = 0.5
 """Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path,
@@ -128,7 +129,8 @@ class Unicycle(PlantBackend):
     Args:
         body: its mass, inertia, limits, lag and start.
         period_s: time between two steps, s; a brake takes at least one.
-        timeout_s: a command acts for so long at most when no step follows, s.
+        timeout_s: it brakes by itself when no step follows for so long, s; what was asked of it acts for two
+            periods then. inf: as long as it takes.
     """
 
     def __init__(self, body: Robot, period_s: float, timeout_s: float = inf) -> None:
@@ -139,6 +141,7 @@ class Unicycle(PlantBackend):
         """What the actuators give now."""
         self._time_ns: int | None = None
         self._period_s, self._timeout_s = period_s, timeout_s
+        self._acts_s = ACTS_PERIODS * period_s if timeout_s < inf else inf
         self._brake_time_s = max(BRAKE_TIME_S, period_s)
         self._driving = False
         self._broken = ""
@@ -178,12 +181,16 @@ class Unicycle(PlantBackend):
     def _move(self, dt: float) -> None:
         """The body `dt` seconds on, with what was asked of it last.
 
-        A step that comes late (its process was frozen) finds a body that drove on for the timeout of
-        a motor's own watchdog, and then braked.
+        A step that comes late (its process was frozen) finds a body that did what it was asked to for two
+        periods, drove on without a force for the timeout of a motor's own watchdog, and then braked.
         """
         if self._driving:
             driven = min(dt, self._timeout_s)
-            self._integrate(driven)
+            acted = min(driven, self._acts_s)
+            self._integrate(acted)
+            if driven > acted:
+                self._actuate(COAST, self._body.actuator_lag_s)
+                self._integrate(driven - acted)
             dt -= driven
             if dt > 0.0:
                 self._actuate(self._brake(), 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -14,6 +14,7 @@ from agent.control.hand import Pose
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
+from agent.supervision.state_machine import at_rest
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.session.signing import Signing
@@ -227,3 +228,21 @@ def heartbeat(kind: int = mavlink.MAV_TYPE_GCS, autopilot: int = constants.AUTOP
 def set_mode(mode: int) -> Any:
     """SET_MODE, as most ground stations do it."""
     return mavlink.MAVLink_set_mode_message(1, constants.FLAG_CUSTOM_MODE, mode)
+
+
+GO: Final = Command(MASS * 0.3, 0.0)
+"""Ahead, faster and faster."""
+STOPS_S: Final = 0.8
+"""What a rover needs from 0.5 m/s to a stand."""
+
+
+def take(rover: Rover, how: str) -> None:
+    """Its operator takes it: by a mode, or by disarming it."""
+    if how == "disarmed":
+        rover.disarm()
+    else:
+        assert rover.set_mode(how)
+
+
+def stands(scene: Scene) -> bool:
+    return at_rest(scene.rover.speed, scene.rover.yaw_rate)

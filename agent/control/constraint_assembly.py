@@ -23,6 +23,7 @@ from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peer import Peer
 from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import Prediction, coasting
+from agent.control.peers.rolling import ROLL_ERROR
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import acceleration_max, barrier_rate
@@ -135,10 +136,9 @@ class ConstraintAssembly:
             return
         other = predicted or self._peers.carry(peer, time_ns)
         dx, dy = own.x - other.position[0], own.y - other.position[1]
-        rho = hypot(dx, dy)
-        if rho > self._proximity.sensing:
+        rho, doubt = hypot(dx, dy), peer.doubt(now_ns)
+        if rho > self._proximity.sensing + (doubt if peer.rolls_on else 0.0):
             return
-        doubt = peer.doubt(now_ns)
         name = peer.name
         distance = self._proximity.distance
         if pushes and rho - doubt < distance and scene.place is not None and not message.following:
@@ -169,7 +169,7 @@ class ConstraintAssembly:
             # One that hears nothing of this robot cannot do its part, nor one that may hear too late of it.
             alone=late or peer.deaf or not message.following,
             other_acceleration=pushed,
-            rank=_rank(doubt, follows=message.following),
+            rank=_rank(doubt, follows=message.following, rolls=peer.rolls_on),
         )
         if late and plane.rank == safety_filter.SEPARATION and not peer.deaf:
             # (F12): where it is by now is a guess, and it keeps away by itself.
@@ -205,6 +205,8 @@ class ConstraintAssembly:
             return
         own, name = scene.own, peer.name
         age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
+        if peer.message is not None and peer.rolls_on:
+            self._keep_from_rolling(scene, name, peer.message, age - AHEAD_S, belief.doubt + ROLL_ERROR)
         speed, growing = hypot(own.vx, own.vy), growth(age)
         depth, deepest = 0.0, None
         for stretch in belief.stretches:
@@ -227,12 +229,30 @@ class ConstraintAssembly:
             if gap - rho > depth:
                 depth, deepest = gap - rho, plane
         if deepest is not None:
-            scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True))
+            scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True, body=True))
             if deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
                 rate = self._barrier_rate
                 stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)
                 scene.stops.extend(stop)
                 scene.planes.extend(stop)
+
+    def _keep_from_rolling(
+        self, scene: Scene, name: str, message: HandState, age: float, doubt: float
+    ) -> None:
+        """The half plane against where it rolls now if nothing commands it any more: it will not brake, and
+        who only brakes in front of it is run over. It gives way to all that is known."""
+        own, there = scene.own, self._peers.forecast.rolling(message, age)
+        if there is None:
+            return
+        dx, dy = own.x - there.x, own.y - there.y
+        gap = self._safe_distance + self._margin + doubt
+        if hypot(dx, dy) < self._proximity.sensing + gap:
+            velocity, rate, rank = (own.vx, own.vy), self._barrier_rate, safety_filter.UNSURE
+            scene.planes.append(
+                safety_filter.keep_apart(
+                    name, (dx, dy), velocity, (there.vx, there.vy), gap, rate, alone=True, rank=rank
+                )
+            )
 
     def _off_the_way(
         self,
@@ -309,9 +329,9 @@ def _may_stand(message: HandState, *, late: bool) -> bool:
     )
 
 
-def _rank(doubt: float, *, follows: bool) -> int:
+def _rank(doubt: float, *, follows: bool, rolls: bool) -> int:
     """Of the half plane against a robot that is heard, whose place is so uncertain (m)."""
-    if not follows:
+    if not follows and not (rolls and doubt > DOUBT_MAX):
         return safety_filter.STANDING
     # Where it is, nobody knows: those that are known come first.
     return safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION

@@ -23,15 +23,18 @@ from agent.control.gains import gains_of
 from agent.control.peers.peer import Peer
 from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import BRAKING_TIME_S, constraint_decay
+from agent.control.peers.rolling import rolls_of, setpoint
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import (
+    RATE_SHARE,
     SPEED_SHARE,
     TURN_MAX,
     TURN_SHARE,
     acceleration_max,
     barrier_rate,
     speed_max,
+    speeding_rate,
 )
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hand
@@ -40,7 +43,7 @@ from agent.formation.reference import Edge, Reference
 from agent.formation.trajectory import Sample
 from agent.links.ticks import next_tick_ns
 from agent.messages.codec import Mark, mark_of
-from agent.messages.types import Forces, HandState, PlantState
+from agent.messages.types import ACTS_PERIODS, Forces, HandState, PlantState, Setpoint
 
 if TYPE_CHECKING:
     from agent.control.own_law import OwnLaw
@@ -53,6 +56,9 @@ REST_PERIOD_NS: Final = NS_PER_S // 2
 """As `LOOK_PERIOD_NS`, in a large fleet while no mission is near."""
 REFERENCES_MAX: Final = 8
 """So many missions are remembered, for those who have not heard the latest."""
+AT_REST: Final[Vector] = (0.0, 0.0)
+COASTING: Final = 0.0, 0.0
+"""N, N m: what acts on a body whose last wrench is too old to act on."""
 STANDS_NS: Final = 2 * NS_PER_S
 """Whoever is silent for so long longer than usual is gone round as what stands still."""
 KEEPING_AWAY: Final = (safety_filter.STANDING, safety_filter.SEPARATION, safety_filter.UNSURE)
@@ -122,7 +128,9 @@ class Controller:
             decay=constraint_decay(control.kd, control.kp) if control.law is None else fleet.fleet.rate_hz,
             predict=control.prediction,
             most=speed_max(fleet) if fleet.avoidance.enabled else None,
+            speeding=speeding_rate(fleet),
             starts={other.id: start_hand(other) for other in fleet.robots if other.id != robot},
+            rolls_on={each.id: rolls for each in fleet.robots if (rolls := rolls_of(each))},
             horizon_s=control.prediction_horizon_s,
             beacon_ns=fleet.beacon_rounds * fleet.period_ns,
             beacon_max_ns=fleet.beacon_rounds_max * fleet.period_ns,
@@ -154,6 +162,7 @@ class Controller:
         self._acceleration_max = self._push_max = acceleration_max(fleet)
         self._speed_max = self._fastest = speed_max(fleet)
         self._barrier_rate, self._margin = barrier_rate(fleet), fleet.avoidance.margin_m
+        self._speeding_rate = self._quickest = speeding_rate(fleet)
         self._mass, self._inertia, self._reach = body.mass_kg, body.inertia_kgm2, body.hand_offset_m
         self._yaw_rate_max = TURN_MAX * NS_PER_S / fleet.period_ns
         self._turn_quickest = TURN_SHARE * NS_PER_S / fleet.period_ns
@@ -190,6 +199,8 @@ class Controller:
         if self.proximity.enabled:
             self.peers.forecast.most = self._speed_max
             self._acceleration_max = min(self._push_max, SPEED_SHARE * self._speed_max * NS_PER_S / period_ns)
+        carried = min(self._quickest, RATE_SHARE * NS_PER_S / period_ns)
+        self._speeding_rate = self.peers.forecast.speeding = max(self._barrier_rate, carried)
         self._yaw_rate_max = TURN_MAX * NS_PER_S / period_ns
         self._turn_quickest = TURN_SHARE * NS_PER_S / period_ns
         self.detour.period_s = period_ns / NS_PER_S
@@ -274,11 +285,15 @@ class Controller:
         motion = self.reference.motion(self._robot, acting_ns)
         assert motion is not None  # a robot without a place does not drive
         x, y, vx, vy, ax, ay = motion
-        ex, ey = own.x - x, own.y - y
+        ex, ey = error = own.x - x, own.y - y
+        c1, c2 = self._c1, self._c2
         if self.proximity.enabled:
-            ex, ey = law.acting_error((ex, ey), (vx, vy), self._c1, self._c2, self._speed_max)
-        nx = law.navigation_force(ax, ex, own.vx - vx, self._c1, self._c2)
-        ny = law.navigation_force(ay, ey, own.vy - vy, self._c1, self._c2)
+            most = self._speed_max
+            ex, ey = acting = law.acting_error(error, (vx, vy), c1, c2, most)
+            firm = law.firmness(error, acting, (vx, vy), c1, c2, most, self._speeding_rate)
+            c1, c2 = firm * c1, firm * c2
+        nx = law.navigation_force(ax, ex, own.vx - vx, c1, c2)
+        ny = law.navigation_force(ay, ey, own.vy - vy, c1, c2)
         # (21) aims at this velocity: F_n = rddot_d + c_2 (wanted - v).
         pull = self._c1 / self._c2
         wanted = vx - pull * ex, vy - pull * ey
@@ -317,9 +332,33 @@ class Controller:
         correction = ux - nx - cx, uy - ny - cy
         return Drive(force, torque, nx, ny, cx, cy, *correction, len(scene.constraints), causes, numbers)
 
+    def evasion(self, plant: PlantState, now_ns: int) -> tuple[float, float] | None:
+        """Force (N) and torque (N m) that get a robot that is to stand out of the way of vehicles that roll
+        on, though nothing commands them (S3); None where braking does as well. Its numbers may be absurd."""
+        rolling = {peer.name for peer in self.peers.known if self.peers.rolls(peer, now_ns)}
+        if not rolling or not self.proximity.enabled:
+            return None
+        acting_ns = self.acting_ns(now_ns)
+        body = self._pose_at(plant, acting_ns)
+        own = hand.hand(body, self._reach)
+        scene = Scene(now_ns, own, 0.0, 0.0, (own.x, own.y), [], [], [], [])
+        self._assembly.find(scene, acting_ns, self.edges, 0.0)
+        ux, uy = -own.vx / BRAKING_TIME_S, -own.vy / BRAKING_TIME_S
+        ux, uy, causes = self._last_stage(ux, uy, scene.planes, body, own, AT_REST, 1.0)
+        if rolling.isdisjoint(causes):
+            return None
+        force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
+        return _within(force, self._force_max), _within(torque, self._torque_max)
+
     def hand_at(self, plant: PlantState, time_ns: int) -> hand.Hand:
         """Own hand at a wall time after the plant's state, from what acts on the body until then."""
         return hand.hand(self._pose_at(plant, time_ns), self._reach)
+
+    def obeys(self, plant: PlantState, now_ns: int) -> Setpoint:
+        """What the own body goes on by when nothing commands it any more from `now_ns` on."""
+        pose = self._pose_at(plant, now_ns)
+        along, spin = plant.force / self._mass, plant.torque / self._inertia
+        return setpoint(pose.heading, pose.speed, pose.yaw_rate, along, spin)
 
     def sent(self, now_ns: int, wrench: tuple[float, float] | None) -> None:
         """Notes what the plant was asked for at the tick `now_ns` (N, N m); None when it is to brake."""
@@ -339,11 +378,18 @@ class Controller:
         since_ns = plant.time_ns
         boundary_ns = self.acts_from_ns(since_ns)
         brakes_on = not plant.driving
+        acts_ns = ACTS_PERIODS * self._held_ns
+        taken_ns = since_ns
+        if since_ns not in self._sent:  # as it is mostly: the plant took a wrench then
+            taken_ns = next((sent_ns for sent_ns in reversed(self._sent) if sent_ns <= since_ns), since_ns)
         while boundary_ns < time_ns:
             if brakes_on or boundary_ns in self._sent:
                 pose = self._moved(pose, acts, (boundary_ns - since_ns) / NS_PER_S)
                 since_ns, acts = boundary_ns, self._sent.get(boundary_ns)
-                brakes_on = False
+                taken_ns, brakes_on = boundary_ns, False
+            elif boundary_ns - taken_ns >= acts_ns and acts:
+                pose = self._moved(pose, acts, (boundary_ns - since_ns) / NS_PER_S)
+                since_ns, acts = boundary_ns, COASTING
             boundary_ns += self._period_ns
         return self._moved(pose, acts, (time_ns - since_ns) / NS_PER_S)
 
@@ -417,7 +463,7 @@ class Controller:
         for each in scene.constraints:
             nx, ny = each.edge.normal
             if each.one_sided:
-                blockers.append(Blocker(nx, ny, each.name, each.name not in moving))
+                blockers.append(self._blocker(nx, ny, each.name, moving))
             else:
                 size = each.edge.slope * self.coupling.multiplier(each.key)
                 x, y = x + size * nx, y + size * ny
@@ -429,10 +475,14 @@ class Controller:
                 if plane in scene.stops:  # whichever way it drives, that is not what keeps it
                     continue
                 if plane.nx * ux + plane.ny * uy < plane.least + ACTIVE and (plane.nx or plane.ny):
-                    blocker = Blocker(plane.nx, plane.ny, plane.cause, plane.cause not in moving)
+                    blocker = self._blocker(plane.nx, plane.ny, plane.cause, moving)
                     (waits if plane.cause in lanes else blockers).append(blocker)
         limits = tuple(cause for cause in causes if cause not in names)
         return Hold(blockers, waits, (x, y), robots, frozenset(astray), limits)
+
+    def _blocker(self, nx: float, ny: float, name: str, moving: Collection[str]) -> Blocker:
+        body = any(peer.name == name for peer in self._about())
+        return Blocker(nx, ny, name, name not in moving, body=body)
 
     def _last_stage(
         self,
@@ -448,7 +498,7 @@ class Controller:
         most = self._speed_max
         if slower < 1.0:
             most = min(most, slower * (hypot(*reference) + SLOW_SPEED))
-        planes += safety_filter.limit_speed(own.vx, own.vy, most, self._barrier_rate)
+        planes += safety_filter.limit_speed(own.vx, own.vy, most, self._speeding_rate)
         if self.caution.speed < inf:
             vx, vy = own.vx - reference[0], own.vy - reference[1]
             planes += safety_filter.limit_speed(vx, vy, self.caution.speed, self._barrier_rate, "late links")

@@ -6,9 +6,10 @@ for its place can come to rest in front of a wall, of a robot that is dead, or o
 likewise: the pull and the push cancel. One that has been blocked so for a while goes round: its wanted
 velocity is turned along what blocks it, always the same way round. That ends when it has turned back as far
 as it has turned away and the direct way is free: Pledge's algorithm (Abelson and diSessa, "Turtle Geometry",
-1981), which gets out of traps. Round another robot, which may go away itself, it ends as soon as the direct
-way is free. Robots are passed as seen from the formation, which moves with them; what stands still, as seen
-from the ground. See (D1) to (D3) of docs/theory.md.
+1981), which gets out of traps. Round another robot, which may go away itself, or one that stands and is all
+that it has met, it ends as soon as the direct way is free: its place goes on meanwhile, and who has
+overtaken it would turn a whole circle more. Robots are passed as seen from the formation, which moves with
+them; what stands still, as seen from the ground. See (D1) to (D3) of docs/theory.md.
 
 It begins on the side to which its place is nearer. Where neither is, it keeps to the right: so do others, and
 two that meet pass each other.
@@ -79,6 +80,7 @@ class Blocker(NamedTuple):
     """What is near: unit vector away from it (W), its name, and whether it stands still for good.
 
     within: it is nearer than it may be, to where only driving away leads on.
+    body: it is one robot, which alone is no trap.
     """
 
     nx: float
@@ -86,6 +88,7 @@ class Blocker(NamedTuple):
     name: str
     fixed: bool
     within: bool = False
+    body: bool = False
 
 
 class Hold(NamedTuple):
@@ -136,6 +139,8 @@ class Detour:
         self._since_s = KEEPS_S
         self._held_s = self._shut_s = self._caught_s = self._loose_s = 0.0
         self._shut = ""
+        self._met: set[str] = set()
+        self._may_be_trap = False
         self._loose_max_s = LOOSE_S
         self._loose = False
         self._partners: frozenset[int] = frozenset()
@@ -317,7 +322,8 @@ class Detour:
         if self._since_s >= KEEPS_S or not first.fixed:
             self._side = _side(heading, first)
         self._free_s = self._angle = self._steered = self._lost = 0.0
-        self.fixed = False
+        self.fixed = self._may_be_trap = False
+        self._met.clear()
 
     def _follow(self, heading: Vector, first: Blocker | None, blockers: list[Blocker]) -> Vector:
         """Direction along what blocks it; ends the detour where the direct way is free for good.
@@ -337,6 +343,9 @@ class Detour:
             self.round = first.name
         self._side = side
         followed = [each for each in blockers if each.fixed] if self.fixed else blockers
+        for each in followed:
+            self._met.add(each.name)
+            self._may_be_trap |= not each.body or len(self._met) > 1
         angle = self._along(heading, self._angle, followed)
         if followed:
             self._lost = 0.0
@@ -347,7 +356,7 @@ class Detour:
         if side * angle > 0.0:
             angle = 0.0
         self._angle = angle
-        free = first is None and (angle == 0.0 or not self.fixed)
+        free = first is None and (angle == 0.0 or not (self.fixed and self._may_be_trap))
         self._free_s = self._free_s + period_s if free else 0.0
         if self._free_s >= FREE_S or self._lost > tau:  # a whole turn without anything: there is no corner
             self._blocked_s, self._since_s = 0.0, 0.0

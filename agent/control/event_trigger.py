@@ -15,6 +15,7 @@ from typing import Final
 from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.forecast import Forecast
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
+from agent.control.peers.rolling import ROLL_ERROR
 from agent.messages.trickle_timer import TrickleTimer
 from agent.messages.types import HEARD_ROUNDS, HandState
 
@@ -102,6 +103,8 @@ class EventTrigger:
             or message.doubt != last.doubt
             or message.own != last.own
         ):
+            return True
+        if message.obeys != last.obeys and self._forecast.rests_off(last, message) > ROLL_ERROR:
             return True
         expected = self._expected(last, message.time_ns)
         (x, y), (vx, vy) = expected.position, expected.velocity

@@ -22,6 +22,9 @@ that noise or a fault has put there would be pulled together."""
 
 APPROACH_SHARE: Final = 0.25
 """A robot makes for its place with at least this share of its speed limit, however fast the formation is."""
+FIRMEST: Final = 2.0
+"""A robot that is far from its place is pulled at most so many times as firmly (measured): with more, ways
+round others get longer."""
 
 
 class Gains(NamedTuple):
@@ -188,8 +191,40 @@ def acting_error(error: Vector, place_velocity: Vector, c1: float, c2: float, mo
     wanted = (wx * wx + wy * wy) ** 0.5
     if wanted <= most:
         return error
-    most = max(most, (vx * vx + vy * vy) ** 0.5 + APPROACH_SHARE * most)
+    most = fastest(place_velocity, most)
     if wanted <= most:
         return error
     share = most / wanted
     return (vx - share * wx) / pull, (vy - share * wy) / pull
+
+
+def fastest(place_velocity: Vector, most: float) -> float:
+    """V of (N1), m/s: the speed at which a robot makes for its place, `most` for one that is slower."""
+    x, y = place_velocity
+    speed: float = (x * x + y * y) ** 0.5
+    return max(most, speed + APPROACH_SHARE * most)
+
+
+def firmness(
+    error: Vector, acting: Vector, place_velocity: Vector, c1: float, c2: float, most: float, rate: float
+) -> float:
+    """gamma of (N2): so many times (21) pulls and damps a robot that is far from its place; 1 near it.
+
+    It makes for its place at the same speed, but comes to that sooner, and is not held back by what pulls at
+    it meanwhile. It goes with U of (N1), so the pull is the gradient of a convex function still, and
+    is never more than that of (21) alone.
+
+    Args:
+        acting: of that error.
+        rate: how fast it comes to its speed at most, 1/s; up to c2 all is as (N1) has it.
+    """
+    if rate <= c2 or acting == error:
+        return 1.0
+    x, y = error
+    over_x, over_y = x - acting[0], y - acting[1]
+    vx, vy = place_velocity
+    # 2 U / c1, and the square of how far from its place (21) may hold at all.
+    energy = x * x + y * y - over_x * over_x - over_y * over_y
+    speed: float = (vx * vx + vy * vy) ** 0.5
+    zone = (fastest(place_velocity, most) + speed) * c2 / c1
+    return min(FIRMEST, rate / c2, max(1.0, 0.5 + 0.5 * energy / (zone * zone)))

@@ -9,7 +9,8 @@ from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.prediction import BRAKING_TIME_S
-from agent.messages.types import FLOAT_MAX, PlantState
+from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc, moves
+from agent.messages.types import FLOAT_MAX, PlantState, Setpoint
 
 LAST_PLACE_NS: Final = NS_PER_S
 """A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
@@ -19,17 +20,22 @@ this grows uncertain."""
 class OwnHand:
     """The own hand point, found anew at every tick.
 
+    Args:
+        rolls: what is known of a body that goes on as it went when nothing commands it any more.
+
     Attributes:
         here: where it is (m, m/s, W), None when the plant does not say.
         shown: `here`, or where it must be since; None when the plant was lost long ago.
         doubt: how far it may be from `shown`, m.
+        obeys: what the body goes on by when nothing commands it any more, while it is measured and moves.
     """
 
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
+    def __init__(self, controller: Controller, rolls: Rolls | None = None) -> None:
+        self._controller, self._rolls = controller, rolls
         self.here: Hand | None = None
         self.shown: Hand | None = None
         self.doubt = 0.0
+        self.obeys: tuple[Setpoint, ...] = ()
         self._seen: tuple[int, Hand, PlantState] | None = None
 
     def measured(self, now_ns: int, plant: PlantState) -> bool:
@@ -40,6 +46,8 @@ class OwnHand:
         self._seen = now_ns, here, plant
         self.here = self.shown = here
         self.doubt = 0.0
+        if self._rolls is not None:
+            self.obeys = (self._controller.obeys(plant, now_ns),) if moves(here.vx, here.vy) else ()
         return True
 
     def lost(self, now_ns: int) -> None:
@@ -49,12 +57,28 @@ class OwnHand:
         last, or have driven on until it was missed and braked since: it is somewhere on this way.
         """
         self.here = self.shown = None
-        if self._seen is None or now_ns - self._seen[0] > LAST_PLACE_NS:
+        self.obeys = ()
+        if self._seen is None:
             return
         since_ns, here, plant = self._seen
         near = self._controller.hand_at(plant, plant.time_ns)
+        rolls = self._rolls if moves(near.vx, near.vy) else None
+        if now_ns - since_ns > LAST_PLACE_NS + (rolls.for_s if rolls else 0.0) * NS_PER_S:
+            return
+        if rolls:
+            self._roll_on(near, self._controller.obeys(plant, plant.time_ns), rolls)
+            return
         remains = exp(-(now_ns - since_ns) / NS_PER_S / BRAKING_TIME_S)
         way = BRAKING_TIME_S * (1.0 - remains)
         x, y = here.x + way * here.vx, here.y + way * here.vy
         self.doubt = 0.5 * hypot(x - near.x, y - near.y)
         self.shown = Hand(0.5 * (x + near.x), 0.5 * (y + near.y), remains * here.vx, remains * here.vy)
+
+    def _roll_on(self, near: Hand, obeys: Setpoint, rolls: Rolls) -> None:
+        """Of a body with a watchdog of its own: it may stand where it was measured last, or go on as it went
+        until that stops it. All of this way is told at once, as a circle, for as long as it may roll: its
+        agent may be the next that is not heard."""
+        _, xs, ys = zip(*arc(near.x, near.y, obeys, rolls), strict=True)
+        x, y = 0.5 * (min(xs) + max(xs)), 0.5 * (min(ys) + max(ys))
+        self.doubt = ROLL_ERROR + max(hypot(x - at_x, y - at_y) for at_x, at_y in zip(xs, ys, strict=True))
+        self.shown = Hand(x, y, 0.0, 0.0)

@@ -92,7 +92,18 @@ def barrier_rate(fleet: Fleet) -> float:
     given = fleet.avoidance.barrier_rate
     if given is not None:
         return given
-    rate = min(_RATE, fleet.control.max_acceleration / speed_max(fleet), RATE_SHARE * fleet.fleet.rate_hz)
+    return min(_sampled_rate(fleet), fleet.control.max_acceleration / speed_max(fleet))
+
+
+def speeding_rate(fleet: Fleet) -> float:
+    """How fast robots may come to their speed limit, (F6), and come to the speed at which they make for a
+    place that is far, (N2), 1/s: what the loop carries, whether they can brake at that rate or not."""
+    return max(barrier_rate(fleet), _sampled_rate(fleet))
+
+
+def _sampled_rate(fleet: Fleet) -> float:
+    """The largest rate up to 3, 1/s, at which the filter is stable as it is sampled."""
+    rate = min(_RATE, RATE_SHARE * fleet.fleet.rate_hz)
     lowest = fleet.control.rate_min_hz
     return rate if lowest is None else min(rate, LOWEST_SHARE * lowest)
 

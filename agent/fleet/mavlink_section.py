@@ -68,6 +68,14 @@ class MavlinkSection:
         "The bridge itself puts the vehicle into GUIDED and arms it, as soon as its estimate is good: "
         "**it may move without anybody at it having said so**. Else its operator does both.",
     )
+    resume_after_s: float = setting(
+        3.0,
+        "A vehicle of which nothing was heard for so long is driven again only after `handfast resume`: its "
+        "operator may have had it meanwhile, and given it back, and nobody can know.",
+        unit="s",
+        ge=2,
+        le=3600,
+    )
     set_origin: bool = setting(
         True, "Gives the vehicle the datum as the origin of its EKF while it has none of its own."
     )

@@ -34,6 +34,8 @@ class Kind(NamedTuple):
         simulator: module of the process that can stand in for the body; "" where there is none.
         vehicle: whether the body is a real one: it is looked at before a drive, and stands where the world
             has it. Any other starts where the fleet file says, and its place is kept for it.
+        rolls_on_s: for so long the body goes on as it went once nothing can command it any more, s, and stops
+            then: it has a watchdog of its own, which no setting makes faster.
         needs_datum: whether its place is one on the earth.
         section: its table in the fleet file; None: it has none.
         local: fields of that table which only its own computer needs: not part of the digest.
@@ -47,6 +49,7 @@ class Kind(NamedTuple):
     program: str = "plant"
     simulator: str = ""
     vehicle: bool = False
+    rolls_on_s: float = 0.0
     needs_datum: bool = False
     section: Entry | None = None
     local: tuple[str, ...] = ()
@@ -69,6 +72,7 @@ KINDS: Final = {
             program="bridges.mavlink",
             simulator="bridges.mavlink.simulator",
             vehicle=True,
+            rolls_on_s=3.0,  # ArduRover, measured: it hears no setpoint for so long
             needs_datum=True,
             section=section_entry(
                 "mavlink",
@@ -106,6 +110,7 @@ def _kind_of_class(plugin: type[Any], reference: str) -> Kind:
         body="plant.plugin:begin",
         virtual="plant.plugin:begin_virtual",
         vehicle=bool(plugin.vehicle),
+        rolls_on_s=float(plugin.rolls_on_s),
         section=plugins.section(plugin, reference, ()),
     )
 

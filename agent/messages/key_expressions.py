@@ -119,6 +119,11 @@ def checks(fleet: str, robot: int | str) -> str:
     return f"{fleet}/robot/{robot}/plant/checks"
 
 
+def status_texts(fleet: str, robot: int | str) -> str:
+    """What the vehicle behind a plant says itself, for operators and recordings."""
+    return f"{fleet}/robot/{robot}/plant/statustext"
+
+
 def faults(fleet: str) -> str:
     """Live fault rules of one author, from the operator to every agent and plant."""
     return f"{fleet}/faults"
@@ -157,7 +162,7 @@ def said_by(fleet: str, robot: int) -> list[str]:
     """All keys on which one robot's agent and plant publish, but that on which they relay orders."""
     return [
         *(key(fleet, robot) for key in (hand, status, plant_state, plant_truth, wrench, beacon, checks)),
-        *(key(fleet, robot) for key in (links, plant_links)),
+        *(key(fleet, robot) for key in (status_texts, links, plant_links)),
         *(faults_held(fleet, robot, role) for role in ROLES),
     ]
 
@@ -179,6 +184,7 @@ def published(fleet: str, robot: int) -> list[str]:
         plant_state(fleet, robot),
         plant_truth(fleet, robot),
         checks(fleet, robot),
+        status_texts(fleet, robot),
         plant_links(fleet, robot),
         *(faults_held(fleet, robot, role) for role in ROLES),
     ]

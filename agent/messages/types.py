@@ -41,6 +41,11 @@ TRACE_MAX: Final = 128
 """Entries of one `LinkTrace`."""
 TIME_NS_MAX: Final = 2**62
 """All times (ns), versions and sequence numbers are below it."""
+ACTS_PERIODS: Final = 2
+"""A wrench acts for so many times as long as it is meant to at most, and then nothing does until the plant
+brakes: what was decided for one speed and heading drives a body that is elsewhere, and faster, away."""
+WRENCH_STEPS_MAX: Final = 16
+"""Of `Wrench.step`: a rest of half a second at 100 kHz."""
 FUTURE_NS_MAX: Final = 250_000_000
 """A message may be stamped this far ahead of the local clock; the clocks of a fleet agree better."""
 HEARD_ROUNDS: Final = 7
@@ -68,6 +73,8 @@ EVENTS: Final = ("kill", "start", "stop", "continue")
 
 LEVELS: Final = ("ok", "warning", "blocking")
 """Of a line of `Checks`: fine; worth knowing; no drive begins over it."""
+SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+"""Of a `StatusText`: names of MAV_SEVERITY, in the order of its numbers (RFC 5424)."""
 CHECKS_MAX: Final = 32
 """Lines of one `Checks`."""
 CHECK_TEXT_MIN: Final = 100
@@ -92,6 +99,9 @@ _HAND_X: Final = About("Hand point, east (world ENU)", "m")
 _HAND_Y: Final = About("Hand point, north (world ENU)", "m")
 _HAND_VX: Final = About("Velocity of the hand point, east", "m/s")
 _HAND_VY: Final = About("Velocity of the hand point, north", "m/s")
+_HEADING: Final = About("Heading, counter-clockwise from east", "rad")
+_SPEED: Final = About("Speed along the heading", "m/s")
+_YAW_RATE: Final = About("Yaw rate, counter-clockwise", "rad/s")
 _NEXT: Final = About(
     "Its next one is stamped so much later at most; 0: as much later as is usual",
     "ms",
@@ -145,6 +155,14 @@ class Echo(NamedTuple):
             most=TIME_NS_MAX - 1,
         ),
     ]
+
+
+class Setpoint(NamedTuple):
+    """What a body obeys, from the stamp of the message on."""
+
+    heading: Annotated[float, _HEADING]
+    speed: Annotated[float, _SPEED]
+    yaw_rate: Annotated[float, _YAW_RATE]
 
 
 class HandState(NamedTuple):
@@ -207,6 +225,17 @@ class HandState(NamedTuple):
     ] = ()
     next_ms: Annotated[int, _NEXT] = 0
     stood_ms: Annotated[int, _STOOD] = 0
+    obeys: Annotated[
+        tuple[tuple[float, float, float], ...],
+        About(
+            "What its body goes on by when nothing commands it any more, while it moves and has a watchdog "
+            "of its own; else none",
+            rows=1,
+            row=Setpoint,
+            before=(),
+            omitted=True,
+        ),
+    ] = ()
 
     @classmethod
     def placed(
@@ -218,9 +247,11 @@ class HandState(NamedTuple):
         degree: int,
         place: tuple[float, float, float, float],
         doubt: float = 0.0,
+        obeys: tuple[tuple[float, float, float], ...] = (),
     ) -> HandState:
         """One that says only where a robot is, as a beacon does; `place`: x, y, vx, vy."""
-        return cls(robot, sequence, time_ns, following, degree, *place, *NO_FORCES, doubt, (), ())
+        said = (*place, *NO_FORCES, doubt)
+        return cls(robot, sequence, time_ns, following, degree, *said, (), (), obeys=obeys)
 
     @property
     def place(self) -> tuple[float, float, float, float]:
@@ -246,9 +277,9 @@ class PlantState(NamedTuple):
     time_ns: Annotated[int, _TIME]
     x: Annotated[float, About("Position, east (world ENU)", "m")]
     y: Annotated[float, About("Position, north (world ENU)", "m")]
-    heading: Annotated[float, About("Heading, counter-clockwise from east", "rad")]
-    speed: Annotated[float, About("Speed along the heading", "m/s")]
-    yaw_rate: Annotated[float, About("Yaw rate, counter-clockwise", "rad/s")]
+    heading: Annotated[float, _HEADING]
+    speed: Annotated[float, _SPEED]
+    yaw_rate: Annotated[float, _YAW_RATE]
     force: Annotated[float, About("Force along the heading that acts until the next state", "N")]
     torque: Annotated[float, About("Torque that acts until the next state", "N m")]
     driving: Annotated[
@@ -286,6 +317,16 @@ class Wrench(NamedTuple):
             omitted=True,
         ),
     ] = ()
+    step: Annotated[
+        int,
+        About(
+            "By how many steps the rate has fallen: it is meant to act for 2^step periods of the plant",
+            least=0,
+            most=WRENCH_STEPS_MAX,
+            before=0,
+            omitted=True,
+        ),
+    ] = 0
 
 
 class Setting(NamedTuple):
@@ -409,6 +450,16 @@ class Checks(NamedTuple):
             rows=CHECKS_MAX,
         ),
     ]
+
+
+class StatusText(NamedTuple):
+    """What the vehicle of a robot says itself, as an autopilot's STATUSTEXT, for operators and recordings."""
+
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _COUNT]
+    time_ns: Annotated[int, _TIME]
+    severity: Annotated[str, About("How grave it is, as MAV_SEVERITY", choices=SEVERITIES)]
+    text: Annotated[str, About("What it says")]
 
 
 class NeighbourStatus(NamedTuple):
@@ -571,6 +622,15 @@ class Silent(NamedTuple):
     doubt: Annotated[float, About("How far to either side of that way it may be", "m", least=0.0, before=0.0)]
 
 
+class Rolling(NamedTuple):
+    """How the body of one robot goes on when nothing commands it any more: as `HandState.obeys`."""
+
+    robot: Annotated[int, _ROBOT]
+    heading: Annotated[float, _HEADING]
+    speed: Annotated[float, _SPEED]
+    yaw_rate: Annotated[float, _YAW_RATE]
+
+
 class Beacon(NamedTuple):
     """Where one robot is, a few times a second, from its agent to all others.
 
@@ -606,11 +666,25 @@ class Beacon(NamedTuple):
     next_ms: Annotated[int, _NEXT] = 0
     overload: Annotated[int, _OVERLOAD] = 0
     stood_ms: Annotated[int, _STOOD] = 0
+    rolling: Annotated[
+        tuple[tuple[int, float, float, float], ...],
+        About(
+            "How the bodies go on of its sender and of silent robots that have a watchdog of their own",
+            rows=SILENT_MAX + 1,
+            row=Rolling,
+            before=(),
+            omitted=True,
+        ),
+    ] = ()
 
     @property
     def place(self) -> tuple[float, float, float, float]:
         """x, y (m), vx, vy (m/s)."""
         return self.x, self.y, self.vx, self.vy
+
+    def obeys(self, robot: int) -> tuple[tuple[float, float, float], ...]:
+        """As `HandState.obeys`, of any robot that it tells of."""
+        return tuple(row[1:] for row in self.rolling if row[0] == robot)[:1]
 
 
 class Heartbeat(NamedTuple):
@@ -642,6 +716,7 @@ Message = (
     | Beacon
     | Heartbeat
     | Ask
+    | StatusText
 )
 CLASSES: Final[tuple[type[Message], ...]] = get_args(Message)
 """In the order of their numbers on the wire."""

@@ -21,6 +21,7 @@ from agent.messages.types import (
     Forces,
     HandState,
     Outgoing,
+    Setpoint,
     Wrench,
 )
 from agent.supervision.beacon_schedule import BeaconSchedule
@@ -65,6 +66,7 @@ class Outbox:
         self._key_hand = key_expressions.hand(name, robot)
         self._key_beacon = key_expressions.beacon(name, robot)
         self._clock: tuple[int, ...] = ()
+        self._step = 0
         self._period_ns, self._next_ms = period_ns, 0
         self.overload = self.others_overload = self.stood_ms = 0
         self.told_mark: Mark = 0, 0
@@ -80,6 +82,7 @@ class Outbox:
         Args:
             promise_ns: within so long the next hand state comes, where that is longer.
         """
+        self._step = (period_ns // self._period_ns).bit_length() - 1
         next_ns = max(period_ns, promise_ns)
         self._next_ms = -(-next_ns // NS_PER_MS) if next_ns > self._period_ns else 0
         self._schedule.tick_ns, self._schedule.stands = period_ns, promise_ns > 0
@@ -94,7 +97,7 @@ class Outbox:
     ) -> Outgoing:
         """What the plant is asked for: force (N) and torque (N m), or to brake."""
         sequence = self._wrenches.next(now_ns)
-        wrench = Wrench(self._robot, sequence, now_ns, force, torque, brake, self._clock)
+        wrench = Wrench(self._robot, sequence, now_ns, force, torque, brake, self._clock, self._step)
         return self._key_wrench, encode(wrench)
 
     def hand(
@@ -108,6 +111,7 @@ class Outbox:
         forces: Forces = NO_FORCES,
         multipliers: tuple[tuple[int, float], ...] = (),
         own: tuple[float, ...] = (),
+        obeys: tuple[Setpoint, ...] = (),
     ) -> list[Outgoing]:
         """The hand state, where one is to be sent; arguments as its fields."""
         sequence, event = self._hands.next(now_ns), self._event
@@ -131,6 +135,7 @@ class Outbox:
             own,
             self._next_ms,
             self.stood_ms,
+            obeys,
         )
         if event is not None:
             round_ns = (now_ns - self._phase_ns) // self._period_ns * self._period_ns
@@ -141,7 +146,9 @@ class Outbox:
             message = message._replace(heard=event.echo(self._peers.heard(), round_ns), next_ms=next_ms)
         return [(self._key_hand, encode(message))]
 
-    def beacon(self, now_ns: int, here: Hand, doubt: float, *, following: bool) -> list[Outgoing]:
+    def beacon(
+        self, now_ns: int, here: Hand, doubt: float, *, following: bool, obeys: tuple[Setpoint, ...] = ()
+    ) -> list[Outgoing]:
         """The beacon, when it is due."""
         if not self._schedule.is_turn(now_ns):
             return []
@@ -150,7 +157,7 @@ class Outbox:
             self._schedule.level = self.others_overload
             self._schedule.loses = any(peer.listened and peer.lateness.loses for peer in self._peers.known)
         message = self._schedule.timed(
-            self._beacon(now_ns, here, doubt, following=following),
+            self._beacon(now_ns, here, doubt, following=following, obeys=obeys),
             self._with_silent,
             lambda: self._peers.rows.near,
         )
@@ -164,7 +171,9 @@ class Outbox:
         if self._schedule.is_seldom:
             self._schedule.heard(beacon, (*self._missions.mark, *self._latch.mark))
 
-    def _beacon(self, now_ns: int, here: Hand, doubt: float, *, following: bool) -> Beacon:
+    def _beacon(
+        self, now_ns: int, here: Hand, doubt: float, *, following: bool, obeys: tuple[Setpoint, ...]
+    ) -> Beacon:
         return Beacon(
             self._robot,
             self._hands.at(now_ns),
@@ -178,6 +187,7 @@ class Outbox:
             (),
             overload=self.overload,
             stood_ms=self.stood_ms,
+            rolling=tuple((self._robot, *each) for each in obeys),
         )
 
     def _onward(self, here: Beacon, for_ns: int) -> Vector | None:
@@ -192,4 +202,6 @@ class Outbox:
     def _with_silent(self, beacon: Beacon) -> Beacon:
         """A beacon with what it tells of robots that are not heard."""
         peers, now_ns = self._peers, beacon.time_ns
-        return beacon._replace(silent=peers.silent(now_ns), unheard=peers.given_up(now_ns))
+        silent = peers.silent(now_ns)
+        rolling = (*beacon.rolling, *peers.rolling(silent)) if silent else beacon.rolling
+        return beacon._replace(silent=silent, unheard=peers.given_up(now_ns), rolling=rolling)

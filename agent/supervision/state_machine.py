@@ -46,7 +46,8 @@ DOES: Final[Mapping[State, str]] = {
     State.DEGRADED: "Drives by the law, but slower, without an edge, or pushed back from the geofence.",
     State.HOLDING: "Brakes until it may drive again: it hears no neighbour, no operator, or is outside the "
     "geofence.",
-    State.RELEASED: "Brakes. Its body's operator has taken it away; the others go on hearing where it is.",
+    State.RELEASED: "Brakes. Its body's operator has taken it away, or may have; the others go on hearing "
+    "where it is.",
     State.STOPPING: "Brakes, because the mission is over or a stop was ordered.",
     State.STOPPED: "Brakes, and stands. After a stop only a resume ends it, after a mission a new one.",
     State.FAULT: "Brakes. Its plant is silent or unhealthy, or its own numbers failed.",
@@ -169,6 +170,13 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
     Transition("hold_ended", frozenset({State.HOLDING}), State.RUNNING, lambda c: True, _nothing),
     Transition("body_back", frozenset({State.RELEASED}), State.RUNNING, lambda c: True, _nothing),
     Transition("well_again", frozenset({State.DEGRADED}), State.RUNNING, lambda c: True, _nothing),
+    Transition(  # all that it lacks in a drive that goes on: after a stop, a fault, a start of its process
+        "body_not_given_back",
+        _BEFORE,
+        State.RELEASED,
+        lambda c: c.started and bool(c.body) and not (c.plant or c.neighbours),
+        lambda c: c.body,
+    ),
     Transition("incomplete", _BEFORE, State.WAITING, lambda c: bool(_missing(c)), _missing),
     Transition(
         "hold_at_start", _BEFORE, State.HOLDING, lambda c: c.started and bool(c.hold), lambda c: c.hold

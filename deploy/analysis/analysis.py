@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from agent.formation.geometry import Geometry
 from agent.formation.points import Floats
 from deploy.analysis.desired import MissionChange, desired
+from deploy.analysis.gaps import PoseGap, kept_through, pose_gaps, unknown
 from deploy.analysis.presence import Flags, away, downs
 from deploy.analysis.removals import carried_off
 from deploy.analysis.stability import SETTLED
@@ -55,7 +57,8 @@ class Analysis:
     """A run on one grid of k times, for n robots (all of them) and m edges (all that were ever in force).
 
     `hands` and `desired` (k, n, 2) m; `distances`, `wanted` (k, m) m. NaN where a robot sent no pose at all,
-    had been carried off, has no place, or an edge is not in force.
+    where none of its came for long (`gaps`), where it had been carried off, has no place, or an edge is not
+    in force. So only what was measured counts as near, and as a distance.
     """
 
     ids: tuple[int, ...]
@@ -67,17 +70,25 @@ class Analysis:
     wanted: Floats
     distances: Floats
     counts: Flags
-    """(k, m): the edge is in force, wholly, and both its robots could follow."""
+    """(k, m): the edge is in force, wholly, its length is known, and both its robots could follow."""
     off: Flags
     """(k, m): it counts, and is further than `SETTLED` from its distance."""
     away: Flags
     """(k, n): the robot could not follow (`deploy.analysis.presence.away`)."""
     settling_s: float | None
     """Last time that any edge was off, 0 when none was; None when one is at the end, when no robots with an
-    edge can follow then, or nothing is known."""
+    edge can follow then, or nothing is known. An edge whose length is not known for a while was off all the
+    while if it was before, or is after."""
     changes: tuple[Settled, ...]
     """Of mission, within the drive."""
     mission_version: int
+    gaps: tuple[PoseGap, ...] = ()
+    """Those that hide where a robot was."""
+
+    @cached_property
+    def unknown(self) -> Flags:
+        """(k, n): whether a gap hides where a robot was."""
+        return unknown(self.gaps, self.ids, self.grid)
 
     @cached_property
     def with_edge(self) -> Approaches:
@@ -141,30 +152,48 @@ class Analysis:
 def analyse(recording: Recording, geometry: Geometry) -> Analysis:
     """The run's hand points, desired hand points and edge distances over time."""
     grid = recording.grid
-    hands = recording.hand_positions(grid)
-    _fill_downs(recording, grid, hands)
-    hands[carried_off(recording, grid)] = np.nan
     wish = desired(recording, geometry, grid)
+    gaps = tuple(
+        gap for gap in pose_gaps(recording) if gap.is_hidden and not _is_left(gap, recording, wish.places)
+    )
+    hands = hands_at(recording, grid, gaps)
     edges, wanted = wish.edges, wish.wanted
     distances = norm(hands[:, edges[:, 0]] - hands[:, edges[:, 1]])
+    hides = unknown(gaps, recording.ids, grid)
+    hidden = hides[:, edges[:, 0]] | hides[:, edges[:, 1]]
     gone = away(recording, grid)
-    counts = wish.whole & ~gone[:, edges[:, 0]] & ~gone[:, edges[:, 1]]
-    off = counts & (np.abs(distances - wanted) > SETTLED * wanted)  # False for NaN
-    known = np.isfinite(distances) & counts
+    follow = wish.whole & ~gone[:, edges[:, 0]] & ~gone[:, edges[:, 1]]
+    counts = follow & np.isfinite(distances)
+    off: Flags = counts & (np.abs(distances - wanted) > SETTLED * wanted)
+    maybe_off = follow & kept_through(off, hidden)
     lost = bool(wish.whole[-1].any()) and not counts[-1].any()  # of nobody's edges one can say that they hold
-    settling_s = _last_off(grid, off) if known.any() and not lost else None
+    settling_s = _last_off(grid, maybe_off) if counts.any() and not lost else None
     end_s = float(grid[-1])
     changes = [change for change in wish.changes if change.t_s <= end_s]
     ends = [*(change.t_s for change in changes[1:]), end_s]
     settled = tuple(
-        Settled(change, _settled_after(grid, off, change.t_s, until_s))
+        Settled(change, _settled_after(grid, maybe_off, change.t_s, until_s))
         for change, until_s in zip(changes, ends, strict=False)
     )
     return Analysis(
         recording.ids, recording.fleet.formation.safe_distance_m, grid, hands, wish.places, edges, wanted,
         distances, counts, off, gone, settling_s,
-        settled, wish.mission_version,
+        settled, wish.mission_version, gaps,
     )  # fmt: skip
+
+
+def hands_at(recording: Recording, times: Floats, gaps: Iterable[PoseGap]) -> Floats:
+    """Hand points (k, n, 2), m, at `times` (k,) s: NaN where they are not known."""
+    hands = recording.hand_positions(times)
+    _fill_downs(recording, times, hands)
+    hands[carried_off(recording, times) | unknown(gaps, recording.ids, times)] = np.nan
+    return hands
+
+
+def _is_left(gap: PoseGap, recording: Recording, places: Floats) -> bool:
+    """Whether a robot that nothing more came of has no place at the end: it has been given up where it was
+    seen last, and its body is taken to be there."""
+    return gap.lasts and not np.isfinite(places[-1, recording.ids.index(gap.robot), 0])
 
 
 def _fill_downs(recording: Recording, grid: Floats, hands: Floats) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.control import law
-from agent.control.safety_distances import speed_max
+from agent.control.safety_distances import speed_max, speeding_rate
 from agent.fleet.model import Fleet
 from deploy.analysis import fleet_law
 from deploy.analysis.analysis import Analysis
@@ -91,11 +91,13 @@ def _forces(
     error = np.nan_to_num((a.hands[row] - a.desired[row]).T)
     before = a.desired[_lately(a, row)][0]
     vx, vy = np.nan_to_num((a.desired[row] - before).T / STILL_S)
-    acting = [
-        law.acting_error((x, y), (u, v), control.c1, control.c2, most)
-        for x, y, u, v in zip(*error.tolist(), vx.tolist(), vy.tolist(), strict=True)
-    ]
-    navigation = -control.c1 * np.array(acting).T
+    c1, c2, rate = control.c1, control.c2, speeding_rate(fleet)
+    pulls = []
+    for x, y, u, v in zip(*error.tolist(), vx.tolist(), vy.tolist(), strict=True):
+        acting = law.acting_error((x, y), (u, v), c1, c2, most)
+        pull = c1 * law.firmness((x, y), acting, (u, v), c1, c2, most, rate)
+        pulls.append((pull * acting[0], pull * acting[1]))
+    navigation = -np.array(pulls).T
     columns = np.flatnonzero(a.counts[row])
     i, j = a.edges[columns].T
     edges = fleet_law.edges(

@@ -139,7 +139,7 @@ def repelling(multipliers: Array) -> Array:
     return np.maximum(multipliers, 0.0)
 
 
-def navigation_force(acceleration: Any, error: Any, error_rate: Any, c1: float, c2: float) -> Any:
+def navigation_force(acceleration: Any, error: Any, error_rate: Any, c1: Any, c2: Any) -> Any:
     """F_n = rddot_d - c_1 e - c_2 edot, (21), m/s^2; any shapes that broadcast."""
     return acceleration - c1 * error - c2 * error_rate
 

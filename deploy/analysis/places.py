@@ -8,6 +8,7 @@ import numpy as np
 
 from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis, norm
+from deploy.analysis.gaps import kept_through
 from deploy.analysis.presence import Flags
 
 LAST_S: Final = 2.0
@@ -52,9 +53,10 @@ def distances_m(a: Analysis) -> Floats:
 
 def last_there_s(a: Analysis) -> float | None:
     """Last time that any robot was further from its place than is allowed at the end, 0 when none was; None
-    when one is at the end, and where nothing is known."""
+    when one is at the end, and where nothing is known. Who sent no pose for a while was off it all the while
+    if it was before, or is after."""
     distances = distances_m(a)
-    far: Flags = distances > allowed_m(a)  # False for NaN
+    far = kept_through(distances > allowed_m(a), a.unknown)  # False for NaN
     if not np.isfinite(distances).any() or far[-1].any():
         return None
     when = np.flatnonzero(far.any(axis=1))

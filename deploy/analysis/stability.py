@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.common.quantities import Vector
-from agent.control.law import acting_error
-from agent.control.safety_distances import speed_max
+from agent.control.law import acting_error, firmness
+from agent.control.safety_distances import speed_max, speeding_rate
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import Floats, edge_lengths
@@ -101,7 +101,10 @@ def at_start(fleet: Fleet, geometry: Geometry, coupling: FleetCoupling) -> Start
     error = (start_hands(fleet) - geometry.offsets - (x, y)).T
     rate = np.broadcast_to(np.array([[-vx], [-vy]]), error.shape)  # the robots start at rest
     acting = _acting(fleet, error, (vx, vy))
-    navigation = fleet_law.navigation_force(np.array([[ax], [ay]]), acting, rate, control.c1, control.c2)
+    firm = _firmness(fleet, error, acting, (vx, vy))
+    navigation = fleet_law.navigation_force(
+        np.array([[ax], [ay]]), acting, rate, firm * control.c1, firm * control.c2
+    )
     i, j = geometry.edges[:, 0], geometry.edges[:, 1]
     n = len(geometry.ids)
     if not len(i):
@@ -128,6 +131,16 @@ def _acting(fleet: Fleet, error: Floats, velocity: Vector) -> Floats:
         return error
     c1, c2, most = control.c1, control.c2, speed_max(fleet)
     return np.array([acting_error((x, y), velocity, c1, c2, most) for x, y in error.T.tolist()]).T
+
+
+def _firmness(fleet: Fleet, error: Floats, acting: Floats, velocity: Vector) -> Floats:
+    """gamma of (N2), (n,), of the same robots."""
+    control = fleet.control
+    if not fleet.avoidance.enabled:
+        return np.ones(error.shape[1])
+    limits = control.c1, control.c2, speed_max(fleet), speeding_rate(fleet)
+    both = zip(error.T.tolist(), acting.T.tolist(), strict=True)
+    return np.array([firmness((x, y), (ax, ay), velocity, *limits) for (x, y), (ax, ay) in both])
 
 
 def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:

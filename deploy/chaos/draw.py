@@ -21,6 +21,7 @@ from deploy.chaos.profiles.low_rate import draw_low_rate
 from deploy.chaos.profiles.mixed import draw_mixed
 from deploy.chaos.profiles.overloaded import draw_overloaded
 from deploy.chaos.profiles.reordered import draw_reordered
+from deploy.chaos.profiles.rovers import draw_rovers
 from deploy.chaos.profiles.scale import draw_scale
 
 WIPED: Final = 0.3
@@ -53,8 +54,9 @@ PROFILES: Final[dict[str, Profile]] = {
     "reordered": Profile(0.5, "formations that change while some do not hear others", draw_reordered),
     "overloaded": Profile(1.0, "processes that stand now and then amid others that go on", draw_overloaded),
     "crowded": Profile(0.5, "many in each other's places, messages late, some dead", draw_crowded),
+    "rovers": Profile(0.8, "vehicles that roll on while their bridges or computers are gone", draw_rovers),
 }
-_LATER: Final = ("crowded", "overloaded")
+_LATER: Final = ("rovers", "crowded", "overloaded")
 """Each takes its seeds from all that were there before it alike, the newest first: those that are left draw
 what they drew before there was it."""
 

@@ -15,9 +15,6 @@ from deploy.chaos.run import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
 NOT_DRAWN: Final[Mapping[str, str]] = {
     "numbers_failed": "the law gave a number that is none: nothing that is drawn may lead to it",
     "rescheduled": "a mission with another epoch: an order keeps it",
-    "incomplete": "who starts again knows its mission or is told it at once; before a drive nothing is drawn",
-    "body_released": "only a real vehicle's operator takes a body away",
-    "body_back": "only a real vehicle's operator gives a body back",
 }
 """Transitions of supervision that no scenario can lead to, and why."""
 

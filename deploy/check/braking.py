@@ -43,6 +43,7 @@ def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
         return
     rate, control = barrier_rate(fleet), fleet.control
     yield from _sampled(rate, fleet.fleet.rate_hz)
+    yield from _unheard(rate, control.wrench_timeout_s)
     most = speed_max(fleet)
     needed = rate * most
     if needed > control.max_acceleration * (1.0 + _ROUNDING):
@@ -77,6 +78,22 @@ def _sampled(rate: float, rate_hz: float) -> Iterator[Finding]:
         )
         + f"; take {_below(RATE_SHARE * rate_hz)} 1/s or less, leave it out, or take "
         f"{rate / RATE_SHARE:.4g} Hz",
+    )
+
+
+def _unheard(rate: float, timeout_s: float) -> Iterator[Finding]:
+    """p against how long a body drives on that hears nothing of its agent: (F1) lets two come nearer by p h a
+    second where they are h too far. One of them goes on as it went and the other, which sees that, does not
+    add to it: so it takes 2 / p to come too near."""
+    room_s = 2.0 / rate
+    if timeout_s <= room_s * (1.0 + _ROUNDING):
+        return
+    yield Finding(
+        "warning",
+        "control.wrench_timeout_s",
+        f"{timeout_s:.4g} s: for so long a body goes on as it last went while its agent is late, and what "
+        f"keeps distances leaves room for {room_s:.2g} s of that: robots may come nearer than the safe "
+        f"distance on a machine that has too much to do; take {_below(room_s)} s or less",
     )
 
 

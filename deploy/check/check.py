@@ -59,7 +59,7 @@ def check(fleet: Fleet) -> list[Finding]:
     findings += check_noise(fleet)
     findings += check_sending(fleet)
     findings += check_safety(fleet, geometry)
-    findings += check_vehicles(fleet)
+    findings += check_vehicles(fleet, geometry)
     if any(robot.kind.is_plugin for robot in fleet.robots):
         from deploy.check.own_plant import check_own_plants
 

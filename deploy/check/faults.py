@@ -383,6 +383,8 @@ def _crowded(fleet: Fleet, each: _Rule) -> Iterator[Finding]:
     ids = fleet.ids[:degree]
     multipliers, heard = tuple((robot, 1.0) for robot in ids), tuple((robot, 20_000) for robot in ids)
     hand = HandState(fleet.ids[0], FIRST_ROUND, 2**60, True, degree, *(0.1,) * 11, multipliers, ())
+    if any(each.kind.rolls_on_s for each in fleet.robots):
+        hand = hand._replace(obeys=((0.1,) * 3,))
     with_echo, without = len(encode(hand._replace(heard=heard))), len(encode(hand))
     size = (with_echo + (HEARD_ROUNDS - 1) * without) / HEARD_ROUNDS
     needed = 8.0 * size * fleet.fleet.rate_hz

@@ -6,13 +6,16 @@ Many vehicles share what is found: one finding names them all.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import sqrt
+from math import inf, sqrt
 from typing import Final, NamedTuple
 
+from agent.control.peers.rolling import STOPS_S
+from agent.control.safety_distances import speed_max
 from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
+from agent.formation.geometry import Geometry
 from bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection
 from deploy.check.finding import Finding, Level
 from deploy.console.wording import robots
@@ -53,8 +56,8 @@ class _Vehicle(NamedTuple):
         return self.real and self.connection is not None and self.connection.kind != "serial"
 
 
-def check_vehicles(fleet: Fleet) -> list[Finding]:
-    """All findings; none for a fleet without vehicles."""
+def check_vehicles(fleet: Fleet, geometry: Geometry | None) -> list[Finding]:
+    """All findings; none for a fleet without vehicles. `geometry`: None where it has none."""
     vehicles = []
     for row, robot in enumerate(fleet.robots, 1):
         link = robot.section(MavlinkSection)
@@ -68,6 +71,7 @@ def check_vehicles(fleet: Fleet) -> list[Finding]:
         *_limits(fleet, vehicles),
         *_bodies(fleet, vehicles),
         *_times(fleet),
+        *_rolling(fleet, geometry, vehicles),
     ]
 
 
@@ -238,4 +242,21 @@ def _times(fleet: Fleet) -> Iterator[Finding]:
             "control.wrench_timeout_s",
             f"{control.wrench_timeout_s:.4g} s, and up to a period more: for so long a vehicle drives on by "
             f"itself when its agent is gone; take {max(most, 2.0 / rate):.3g} s",
+        )
+
+
+def _rolling(fleet: Fleet, geometry: Geometry | None, vehicles: list[_Vehicle]) -> Iterator[Finding]:
+    """Whether one that nothing commands any more can roll as far as to another."""
+    rolls_s = max(vehicle.robot.kind.rolls_on_s for vehicle in vehicles)
+    speed = speed_max(fleet)
+    way = (rolls_s + STOPS_S) * speed
+    room = way + fleet.formation.safe_distance_m
+    shortest = inf if geometry is None else float(geometry.distances.min(initial=inf))
+    if shortest < room:
+        yield Finding(
+            "info",
+            "control.max_speed_mps",
+            f"a vehicle whose bridge or link is lost goes on for {rolls_s:g} s by itself, up to {way:.2g} m "
+            f"at {speed:g} m/s: the others keep away from that way, but who is nearer than {room:.2g} m may "
+            f"not get out of it in time, and edges are {shortest:.3g} m",
         )

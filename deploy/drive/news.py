@@ -13,6 +13,8 @@ from deploy.console.wording import grouped, robots
 
 SENTENCES_MAX: Final = 8
 """So many changes of one moment are shown; of more only the number."""
+AGAIN_NS: Final = 30 * NS_PER_S
+"""A vehicle that says one thing again and again is quoted once in a while of silence as long."""
 _STANDBY: Final = State.STANDBY.value
 _RELEASED: Final = State.RELEASED.value
 _ACTIVE: Final = DRIVING_NAMES | {State.HOLDING.value, _RELEASED}
@@ -48,6 +50,7 @@ class News:
         """What was ordered or is worth knowing, and when it was given, 0: now."""
         self._changes: list[tuple[int, str, str, str]] = []
         self._remarks: set[str] = set()
+        self._said_ns: dict[tuple[int, str], int] = {}
 
     def order(self, message: Mission | Stop | Resume) -> None:
         """Takes a mission, stop or resume that is newer than those before."""
@@ -75,6 +78,13 @@ class News:
         if text not in self._remarks:
             self._remarks.add(text)
             self._orders.append((text, 0))
+
+    def said(self, robot: int, text: str, time_ns: int) -> None:
+        """Takes what a robot's vehicle said; the same again soon after is not said again."""
+        before_ns = self._said_ns.get((robot, text))
+        self._said_ns[robot, text] = time_ns
+        if before_ns is None or time_ns - before_ns > AGAIN_NS:
+            self._orders.append((f"{robots([robot])}: {text}", 0))
 
     def happenings(self, time_s: float | None) -> list[Happening]:
         """What happened since the last call; `time_s` is the fleet time, None before the epoch is set."""

@@ -16,6 +16,7 @@ from agent.formation.reference import Edge, Reference
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import (
+    SEVERITIES,
     Beacon,
     Checks,
     Faults,
@@ -25,6 +26,7 @@ from agent.messages.types import (
     PlantState,
     Resume,
     Status,
+    StatusText,
     Stop,
 )
 from agent.supervision.state_machine import DRIVING_NAMES
@@ -39,6 +41,8 @@ from deploy.faults.wording import defaults, held, lasts, words
 from deploy.orders.operator import Known
 from plant.backend import BATTERY
 
+GRAVE: Final = frozenset(SEVERITIES[: SEVERITIES.index("warning") + 1])
+"""Of what vehicles say, what is shown of a drive; all of it is recorded."""
 SILENT_S: Final = 1.0
 SILENT_STATUSES: Final = 4.0
 """Who has said nothing for so long, and for so many of the times in which its agent tells its status, is
@@ -146,6 +150,10 @@ class Watch:
                 _keep_newest(self._plants, message)
             if message.note and message.healthy and message.obeying:
                 self._news.remark(message.robot, message.note)
+        elif type(message) is StatusText:
+            if key == key_expressions.status_texts(name, message.robot) and message.severity in GRAVE:
+                text = f"its vehicle says ({message.severity}): {message.text}"
+                self._news.said(message.robot, text, message.time_ns)
         elif type(message) is Faults:
             self._held.feed(key, message)
         elif type(message) is Checks and key == key_expressions.checks(name, message.robot):

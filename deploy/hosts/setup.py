@@ -12,6 +12,7 @@ from agent.fleet.model import Fleet
 from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for
 from deploy.hosts.connection import Clock, HostConnection, HostError
+from deploy.hosts.vehicle_ports import port_warnings
 from deploy.inventory.hosts import robots_on
 
 INSTALL_TIMEOUT_S: Final = 400.0
@@ -84,6 +85,8 @@ def prepare(
     _refuse(host, about)
     clock = connection.clock()
     warnings = list(_clock_warnings(fleet, clock))
+    if robots:
+        warnings += port_warnings(connection, fleet)
     try:
         platform = Platform.of(about)
         say("collecting wheels")

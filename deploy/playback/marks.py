@@ -18,7 +18,8 @@ ORDER: Final = "order"
 FAULT: Final = "fault"
 STATE: Final = "state"
 VIOLATION: Final = "violation"
-_WORTH: Final = (VIOLATION, ORDER, FAULT, STATE)
+VEHICLE: Final = "vehicle"
+_WORTH: Final = (VIOLATION, ORDER, FAULT, STATE, VEHICLE)
 _QUIET: Final = frozenset({State.READY.value, State.WAITING.value, State.STANDBY.value, State.STOPPING.value})
 """States in which a robot comes to drive, or to its end: no mark of their own."""
 
@@ -29,7 +30,7 @@ class Mark(NamedTuple):
     Attributes:
         t_s: when it did, or began, fleet time.
         end_s: when it was over, None of a moment.
-        kind: `ORDER`, `FAULT`, `STATE` or `VIOLATION`.
+        kind: `ORDER`, `FAULT`, `STATE`, `VIOLATION` or `VEHICLE`.
         text: what it was.
         robots: whom to look at, ascending; none for all.
     """
@@ -43,11 +44,36 @@ class Mark(NamedTuple):
 
 def marks(result: RunResult) -> list[Mark]:
     """All that is to be marked in a run, in the order of time."""
+    found = all_marks(result)
+    if len(found) > MARKS_MAX:
+        found = sorted(found, key=_worth)[:MARKS_MAX]
+    return sorted(found, key=_in_time)
+
+
+def all_marks(result: RunResult) -> list[Mark]:
+    """As `marks`, however many there are."""
     recording = result.recording
     found = [*_orders(recording), *_faults(recording), *_states(recording), *_violations(result)]
-    if len(found) > MARKS_MAX:
-        found = sorted(found, key=lambda mark: (_WORTH.index(mark.kind), mark.t_s))[:MARKS_MAX]
-    return sorted(found, key=lambda mark: (mark.t_s, _WORTH.index(mark.kind)))
+    return sorted([*found, *_status_texts(recording)], key=_in_time)
+
+
+def _worth(mark: Mark) -> tuple[int, float]:
+    return _WORTH.index(mark.kind), mark.t_s
+
+
+def _in_time(mark: Mark) -> tuple[float, int]:
+    return mark.t_s, _WORTH.index(mark.kind)
+
+
+def _status_texts(recording: Recording) -> list[Mark]:
+    return [
+        Mark(
+            *(recording.fleet_time_s(said.time_ns), None, VEHICLE),
+            f"the vehicle of robot {said.robot} says ({said.severity}): {said.text}",
+            (said.robot,),
+        )
+        for said in recording.status_texts
+    ]
 
 
 def _orders(recording: Recording) -> list[Mark]:

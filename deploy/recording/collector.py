@@ -33,6 +33,7 @@ from agent.messages.types import (
     PlantState,
     Resume,
     Status,
+    StatusText,
     Stop,
     Wrench,
 )
@@ -53,7 +54,7 @@ _RUN_NS_MAX: Final = 12 * 3600 * 10**9
 BEACONS: Final = 32
 """So many of each robot's last beacons are kept: those of some seconds."""
 _BEACON: Final = TOPICS.index("beacon")
-_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, Beacon)
+_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, Beacon, StatusText)
 
 
 _Sink = Rows | StatusRows
@@ -83,6 +84,7 @@ class RunData:
         self._stops: dict[Stop, Stop] = {}
         self._resumes: dict[Resume, Resume] = {}
         self.events: list[Event] = []
+        self.status_texts: list[StatusText] = []
         self.live_faults: list[LiveFaults] = []
         self._links = LinkRows(store)
         plan = FaultPlan(fleet)
@@ -115,6 +117,7 @@ class RunData:
         for robot in self._plant:
             self._ignored[key_expressions.checks(prefix, robot)] = Checks
         """Messages that are recorded for people, and of which no table is made."""
+        self._texts_from = {key_expressions.status_texts(prefix, robot): robot for robot in self._plant}
         self._beacons_from = {key_expressions.beacon(prefix, robot): robot for robot in self._plant}
         self._beacons: dict[int, deque[Beacon]] = {robot: deque(maxlen=BEACONS) for robot in self._plant}
         self._over_ns = inf
@@ -158,6 +161,8 @@ class RunData:
             )
         elif type(message) is Event and key == self._events_key:
             self.events.append(message)
+        elif type(message) is StatusText and self._texts_from.get(key) == message.robot:
+            self.status_texts.append(message)
         elif type(message) is Beacon and self._beacons_from.get(key) == message.robot:
             if message.time_ns <= self._over_ns:
                 self._beacons[message.robot].append(message)
@@ -235,6 +240,7 @@ class RunData:
             tuple(self.events),
             tuple(self._resumes.values()),
             {robot: tuple(beacons) for robot, beacons in self._beacons.items()},
+            tuple(self.status_texts),
         )
 
     @property

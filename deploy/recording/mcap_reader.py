@@ -9,7 +9,9 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from io import BytesIO
+from math import inf
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +28,7 @@ from deploy.recording.collector import RunData
 from deploy.recording.mcap_records import MAGIC, PREFIX, Lost, Records, records_in
 from deploy.recording.message_json import reader, schema_name
 from deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
-from deploy.recording.recording import Recording
+from deploy.recording.recording import Damage, Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
 
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -41,6 +43,8 @@ class _File:
         self.metadata: dict[str, dict[str, str]] = {}
         self.fleet_toml: str | None = None
         self._records: Records | None = None
+        self._last_ns = 0
+        """When the last message came."""
         self._unknown = 0
         """Messages of which it is not known what they are."""
         self._schemas: dict[int, str] = {}
@@ -85,6 +89,24 @@ class _File:
             found.append(f"{self.path} is cut short or damaged: its messages are all there")
         return found
 
+    def damage(self, begun_ns: int) -> list[Damage]:
+        """What of it is lost, by such a clock."""
+        records = self._records
+        assert records is not None
+        lost = [*records.lost]
+        if self._unknown:
+            lost.append(Lost(None, None))
+        if not records.ends:
+            lost.append(Lost(self._last_ns, None))
+        return [
+            Damage(
+                self.path.name,
+                -inf if since_ns is None else (since_ns - begun_ns) / NS_PER_S,
+                inf if until_ns is None else (until_ns - begun_ns) / NS_PER_S,
+            )
+            for since_ns, until_ns in lost
+        ]
+
     def _record(self, opcode: int, content: bytes) -> Iterator[tuple[int, str, Message]]:
         if opcode == Opcode.CHUNK:
             yield from self._inside(content)
@@ -125,6 +147,7 @@ class _File:
                 ) from error
             if len(messages) != len(log_times):
                 raise RecordingError(f"{self.path}: channel {key} holds what is not a message of handfast")
+            self._last_ns = max(self._last_ns, *log_times)
             for log_ns, message in zip(log_times, messages, strict=True):
                 yield log_ns, key, message
 
@@ -144,6 +167,8 @@ class _File:
             self._add_channel(Channel.read(_stream(content)))
 
     def _add_channel(self, channel: Channel) -> None:
+        if channel.schema_id not in self._schemas and self.is_damaged:
+            return  # its schema was in what is damaged: it is looked up once a message comes
         name = self._schemas.get(channel.schema_id, "")
         # Raw payloads (no schema), what is derived and schemas of a later version are not ours to read.
         known = channel.message_encoding == "json" and name in _READERS
@@ -186,7 +211,7 @@ def read_mcap(path: str | PathLike[str], fleet_path: str | PathLike[str] | None 
     """Read the recording at `path`, with the fleet file at `fleet_path`, else with the one inside it.
 
     A file that was cut short, at whatever byte, is read to its last complete chunk, and of one that is
-    damaged all is read but the chunks that are; `Recording.warnings` then says what is missing.
+    damaged all is read but the chunks that are; `Recording.warnings` and `damage` then say what is missing.
 
     Raises:
         RecordingError, FleetError: as `read_run`.
@@ -212,7 +237,10 @@ def read_mcap(path: str | PathLike[str], fleet_path: str | PathLike[str] | None 
     if RUN_METADATA not in file.metadata:
         warnings.append(f"{path}: what it is a recording of is damaged, left out")
     warnings += file.warnings(data.begun_ns)
-    return data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings, fleet_toml=fleet_toml)
+    recording = data.recording(
+        reasons=reasons, interrupted=interrupted, warnings=warnings, fleet_toml=fleet_toml
+    )
+    return replace(recording, damage=tuple(file.damage(data.begun_ns)))
 
 
 def _outcome(file: _File) -> tuple[list[str], bool, list[str]]:

@@ -22,6 +22,7 @@ from agent.messages.types import (
     Faults,
     Mission,
     Resume,
+    StatusText,
     Stop,
 )
 from deploy.recording.columns import Store
@@ -78,6 +79,15 @@ class LiveFaults(NamedTuple):
     message: Faults
 
 
+class Damage(NamedTuple):
+    """A part of a recording's file that could not be read: of what came from `start_s` to `end_s` (fleet
+    time) nothing is known; infinite: from its beginning, or to its end."""
+
+    file: str
+    start_s: float
+    end_s: float
+
+
 @dataclass(frozen=True)
 class Recording:
     """One run, with all that was recorded of it.
@@ -112,6 +122,10 @@ class Recording:
     """Each resume once, as it was first sent."""
     beacons: Mapping[int, Sequence[Beacon]] = field(default_factory=dict)
     """The last of each robot within the drive."""
+    status_texts: Sequence[StatusText] = ()
+    """What vehicles said themselves, as it came."""
+    damage: Sequence[Damage] = ()
+    """What of its file is lost."""
 
     @property
     def ids(self) -> tuple[int, ...]:

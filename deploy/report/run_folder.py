@@ -16,7 +16,8 @@ from deploy.console.interrupt import Interrupt
 from deploy.recording.collector import RunData
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder
-from deploy.recording.run_files import FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
+from deploy.recording.run_files import EVENTS_FILE, FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
+from deploy.report.events_file import write_events
 from deploy.verdict import metrics
 from deploy.verdict.run_result import RunResult
 
@@ -165,6 +166,7 @@ def write_result(
         FormationError: when the fleet's formation cannot be resolved.
     """
     metrics.write(folder / METRICS_FILE, result.metrics)
+    write_events(folder / EVENTS_FILE, result)
     if report:
         # Drawing needs matplotlib, which is slow to load: a run starts without it.
         from deploy.report.report import write_report

@@ -2,56 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from math import hypot, inf
+from math import inf
 from typing import Final
-
-import numpy as np
 
 from agent.supervision.state_machine import State
 from deploy.analysis.analysis import Analysis
+from deploy.analysis.gaps import GAP_S, is_lost
 from deploy.analysis.presence import downs
-from deploy.console.wording import NAMES_SHOWN, robots
+from deploy.console.wording import robots
 from deploy.recording.recording import Recording
-from deploy.verdict.overload import late_robots, on_late_machines
-from deploy.verdict.standstills import Cause, Stall, stalls
+from deploy.verdict.gaps import damage
+from deploy.verdict.gaps.missing_poses import MissingPoses, of_one_cause
 
 SILENCE_S: Final = 2.0
 """An agent says its status five times a second; one that said nothing in the last so many is lost."""
-GAP_S: Final = 0.5
-"""Poses missing for longer than this make a run's data incomplete."""
-_TOO_SLOW: Final = "their machine was too slow"
-FEW_GAPS: Final = 3
-"""So many that come of a machine that is too slow are told one by one."""
-_PERIODS: Final = 2.5
-"""Or for longer than so many periods of a slow body: a late tick is no missing pose."""
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A time without a pose of one robot.
-
-    Attributes:
-        rule: names the rule that stopped its plant, if one did.
-        stall: when no robot of its machine sent a pose, and why, if that was so.
-        is_late: whether its machine was too slow (`deploy.verdict.overload`).
-        for_good: whether that rule killed it, agent and plant, without an end.
-        moved_m: how far apart the poses before and after it are, m; inf where one is missing.
-    """
-
-    robot: int
-    start_s: float
-    end_s: float
-    rule: str
-    stall: Stall | None
-    is_late: bool
-    for_good: bool
-    moved_m: float
-
-    @property
-    def lasts_s(self) -> float:
-        return self.end_s - self.start_s
 
 
 class Completeness:
@@ -62,10 +26,10 @@ class Completeness:
     """
 
     def __init__(self, recording: Recording, a: Analysis) -> None:
-        self._recording, self._a = recording, a
-        self.members = frozenset(robot for robot in a.ids if self._placed(robot, recording.end_s))
+        self._recording = recording
+        self._poses = MissingPoses(recording, a)
+        self.members = frozenset(robot for robot in a.ids if self._poses.is_placed(robot, recording.end_s))
         """Robots that had a place at the end."""
-        self._gaps = _gaps(recording)
 
     @property
     def reasons(self) -> list[str]:
@@ -74,64 +38,28 @@ class Completeness:
         out = []
         if recording.epoch_ns is None:
             out.append("No mission was recorded: the fleet was never told to start, so it did not drive.")
+        is_damaged = is_lost(recording, 0.0, recording.end_s)  # then that is why
         silent = [robot for robot, data in recording.robots.items() if not len(data.body)]
-        if silent:
+        if silent and not is_damaged:
             out.append(f"The data are incomplete: no pose of {robots(silent)} was recorded.")
         mute = [robot for robot, data in recording.robots.items() if not len(data.status)]
-        if mute:
+        if mute and not is_damaged:
             verb = "agent of" if len(mute) == 1 else "agents of"
             out.append(f"The data are incomplete: the {verb} {robots(mute)} never said a word.")
         if recording.epoch_ns is None:
             return out
-        longest: dict[int, Gap] = {}
-        for gap in self._gaps:
-            known = longest.get(gap.robot)
-            if self._matters(gap) and (known is None or gap.lasts_s > known.lasts_s):
-                longest[gap.robot] = gap
-        late = self._of_one_cause(longest)
-        together: dict[str, list[Gap]] = {}
-        alone: list[Gap] = []
-        for robot, gap in longest.items():
-            cause = gap.stall.cause.value if gap.stall else _TOO_SLOW if robot in late else ""
-            (together.setdefault(cause, []) if cause else alone).append(gap)
-        if len(alone) <= NAMES_SHOWN:
-            out += [
-                f"The data are incomplete: robot {gap.robot} sent no pose from {gap.start_s:.2f} s to "
-                f"{gap.end_s:.2f} s{', for its machine was too slow' if gap.is_late else ''}."
-                for gap in alone
-            ]
-        else:
-            out.append(f"The data are incomplete: {_many(alone)}.")
-        for cause, gaps in together.items():
-            out.append(f"The data are incomplete: {_many(gaps)}: {cause}.")
-        return [*out, *self._fell_silent(self.members), *_cut_short(recording)]
+        damaged = damage.reasons(recording, self._poses.worst_lost)
+        cut = damage.cut_short(recording)
+        return [
+            *damaged, *out, *self._poses.reasons, *self._fell_silent(self.members),
+            *(_cut_short(recording) if cut is None else []),
+        ]  # fmt: skip
 
     @property
     def warnings(self) -> list[str]:
         """Sentences that fail nothing."""
         end_s = self._recording.end_s
-        known = [gap for gap in self._gaps if not self._matters(gap) and not gap.stall]
-        late = [gap for gap in known if self._is_of_machine(gap)]
-        if len(late) <= FEW_GAPS:
-            out = [
-                f"Robot {gap.robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s, for its "
-                f"machine was too slow: it moved {gap.moved_m:.2f} m meanwhile."
-                for gap in late
-            ]
-        else:
-            most_m = max(gap.moved_m for gap in late)
-            who = f"{_many(late).capitalize()}, for a machine was too slow"
-            out = [f"{who}: they moved up to {most_m:.2f} m meanwhile."]
-        for gap in known:
-            if self._is_of_machine(gap):
-                continue
-            until = "the end" if gap.end_s >= end_s else f"{gap.end_s:.2f} s"
-            when = f"from {gap.start_s:.2f} s to {until} its place is not known"
-            taken = "" if gap.end_s >= end_s else ", and taken from what came before and after"
-            what = f"Robot {gap.robot} had no place in the formation any more"
-            if gap.rule:
-                what = f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant"
-            out.append(f"{what}: {when}{taken}.")
+        out = self._poses.warnings
         out += self._fell_silent(frozenset(self._recording.ids) - self.members)
         for robot in sorted(self.members):
             for down in downs(self._recording, robot, "agent"):
@@ -141,36 +69,6 @@ class Completeness:
                         "took its place."
                     )
         return out
-
-    def _placed(self, robot: int, t: float) -> bool:
-        """Whether a robot has a place in the formation then."""
-        a = self._a
-        row = min(int(np.searchsorted(a.grid, t)), len(a.grid) - 1)
-        return bool(np.isfinite(a.desired[row, a.ids.index(robot), 0]))
-
-    def _matters(self, gap: Gap) -> bool:
-        """Whether the formation lacked what the gap hides: not, if the robot had no place by its end."""
-        if not self._placed(gap.robot, gap.end_s):
-            return False
-        # Who was killed for good is dead on purpose: what the formation lacks then, others say. A plant that
-        # should have come back leaves a formation of which nothing is known, and what a machine hides may be
-        # what it broke.
-        if gap.for_good:
-            return False
-        # A plant that hangs is no matter of the machine, nor are all of them.
-        hidden = (gap.stall and gap.stall.cause is not Cause.PLANTS) or gap.is_late
-        known = gap.rule or (hidden and gap.moved_m <= self._a.safe_m)
-        return not (known and gap.end_s < self._recording.end_s)
-
-    def _is_of_machine(self, gap: Gap) -> bool:
-        """Whether a machine that was too slow hides a robot that had a place, and nobody had stopped it."""
-        return gap.is_late and not gap.rule and self._placed(gap.robot, gap.end_s)
-
-    def _of_one_cause(self, silent: Collection[int]) -> list[int]:
-        """Which of these are one matter, as they are of a machine that was too slow: what they said may not
-        have come through. None where that is one alone."""
-        late = sorted(on_late_machines(self._recording).intersection(silent))
-        return late if len(late) > 1 else []
 
     def _fell_silent(self, among: frozenset[int]) -> list[str]:
         """Sentences for agents that said nothing more to the end, though nobody had stopped them."""
@@ -186,9 +84,10 @@ class Completeness:
                 down.start_s <= last_s + SILENCE_S and down.end_s > last_s + SILENCE_S
                 for down in downs(recording, robot, "agent")
             )
-            if robot in among and silence_s > SILENCE_S and not ordered:
+            is_damaged = is_lost(recording, last_s, recording.end_s)
+            if robot in among and silence_s > SILENCE_S and not ordered and not is_damaged:
                 found[robot] = last_s, silence_s
-        late = self._of_one_cause(found)
+        late = of_one_cause(recording, found)
         out = [
             f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
             f"{silence_s:.1f} s of the drive.{hint}"
@@ -202,12 +101,6 @@ class Completeness:
                 "s on: their machine was too slow, for them, their router or the program that records."
             )
         return out
-
-
-def _many(gaps: Sequence[Gap]) -> str:
-    """Of which robots no pose came, and for how long: a sentence without its end."""
-    most_s = max(gap.lasts_s for gap in gaps)
-    return f"no pose came of {robots(dict.fromkeys(gap.robot for gap in gaps))} for up to {most_s:.1f} s"
 
 
 def last_states(recording: Recording) -> dict[int, tuple[str, str] | None]:
@@ -245,48 +138,3 @@ def _stopped_by_order(recording: Recording) -> bool:
     return stopped_s is not None and any(
         order.kind == "stop" and abs(order.at - stopped_s) < GAP_S for order in recording.fleet.orders
     )
-
-
-def _gaps(recording: Recording) -> list[Gap]:
-    """Gaps longer than `GAP_S`, or `_PERIODS`."""
-    longest_s = max(GAP_S, _PERIODS * recording.fleet.period_ns / 1e9)
-    out = []
-    end_s, epoch_ns = recording.end_s, recording.epoch_ns or 0
-    stood, late = stalls(recording), late_robots(recording)
-    for robot, data in recording.robots.items():
-        if not len(data.body):
-            continue
-        host = recording.fleet.robot(robot).host or ""
-        times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
-        for k in np.flatnonzero(np.diff(times) > longest_s).tolist():
-            start_s, stop_s = float(times[k]), float(times[k + 1])
-            asked = [
-                event.rule
-                for event in recording.events
-                if event.robot == robot
-                and event.role == "plant"
-                and event.what in ("kill", "stop")
-                and start_s - GAP_S <= (event.time_ns - epoch_ns) / 1e9 <= stop_s
-            ]
-            stall = [
-                each
-                for each in stood
-                if each.host == host
-                and stop_s - start_s < each.end_s - each.start_s + GAP_S
-                and each.start_s < stop_s
-                and start_s < each.end_s
-            ]
-            after = int(np.searchsorted(data.body.t, 0.5 * (start_s + stop_s)))
-            moved_m = inf
-            if 0 < after < len(data.body):
-                moved_m = hypot(*(float(np.diff(data.body[axis][after - 1 : after + 1])[0]) for axis in "xy"))
-            rule = asked[0] if asked else ""
-            dead = stop_s >= end_s and all(
-                any(down.what == "kill" and down.end_s == inf for down in downs(recording, robot, role))
-                for role in ("agent", "plant")
-            )
-            stalled = next(iter(stall), None)
-            out.append(
-                Gap(robot, start_s, stop_s, rule, stalled, robot in late, bool(rule) and dead, moved_m)
-            )
-    return out

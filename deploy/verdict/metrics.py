@@ -207,12 +207,12 @@ METRICS: tuple[Metric, ...] = (
     Metric("rate_hz", "Rounds that an agent makes in a second.", lambda r: number(r.fleet.fleet.rate_hz)),
     Metric("duration_s", "How long the fleet drove.", lambda r: number(r.recording.end_s)),
     Metric(
-        "min_distance_m.edge", "Least distance ever between two robots that share an edge.",
+        "min_distance_m.edge", "Least distance ever measured between two robots that share an edge.",
         lambda r: _distance(r.analysis.with_edge.closest), "Closest, robots with an edge", "m",
         column=Column(2, low_is_good=False),
     ),
     Metric(
-        "min_distance_m.any", "Least distance ever between any two robots.",
+        "min_distance_m.any", "Least distance ever measured between any two robots.",
         lambda r: _distance(r.analysis.closest),
         "Closest, any two robots", "m",
         column=Column(

@@ -59,16 +59,16 @@ def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation
     obstacles = obstacles_of(fleet)
     if not obstacles:
         return None
-    least_m = 0.0
-    if fleet.avoidance.enabled:
-        least_m = clearance_of(fleet.avoidance.clearance_m, a.safe_m) - CLEARANCE_TOLERANCE_M
+    least_m = clearance_kept_m(fleet, a.safe_m)
     found = []
     for index, robot, driven in _driven(recording, a):
         for obstacle in obstacles:
             away_m = distances(obstacle, a.hands[:, index])
             near = away_m < least_m
-            stays = near.all() and np.isfinite(a.desired[:, index, 0]).any()  # though its place is elsewhere
-            near &= np.logical_or.accumulate(~near) | stays  # begun there: only once it has been out
+            out = away_m >= least_m  # neither where a gap hides it
+            has_place = np.isfinite(a.desired[:, index, 0]).any()
+            stays = has_place and not out.any()  # though its place is elsewhere
+            near &= np.logical_or.accumulate(out) | stays  # begun there: only once it has been out
             near &= driven
             if not near.any():
                 continue
@@ -83,20 +83,25 @@ def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation
     return found
 
 
+def clearance_kept_m(fleet: Fleet, safe_m: float) -> float:
+    """What hands have to keep from obstacles, m."""
+    if not fleet.avoidance.enabled:
+        return 0.0
+    return clearance_of(fleet.avoidance.clearance_m, safe_m) - CLEARANCE_TOLERANCE_M
+
+
 def geofence(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
     """Outside it robots hold, and are not further outside than they can have been driving when it began."""
     fence = fence_of(fleet)
     if fence is None or not fleet.avoidance.enabled:
         return None
-    control = fleet.control
-    braking = min(BRAKE_DECELERATION_MAX, control.max_acceleration)
-    most_mps = 1.1 * control.max_speed_mps + 0.1
-    furthest_m = most_mps**2 / (2.0 * braking) + most_mps * (control.wrench_timeout_s + 0.1)
+    furthest_m = furthest_outside_m(fleet)
     found = []
     for index, robot, driven in _driven(recording, a):
         inside_m = distances(fence, a.hands[:, index])
         outside = (inside_m < 0.0) & driven
-        outside &= np.logical_or.accumulate(inside_m >= 0.0) | (inside_m < 0.0).all()
+        inside = inside_m >= 0.0
+        outside &= np.logical_or.accumulate(inside) | (not inside.any())
         if not outside.any():
             continue
         status = recording.robots[robot].status
@@ -113,6 +118,14 @@ def geofence(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
             )
             found.append(Violation("geofence", t_s, message))
     return found
+
+
+def furthest_outside_m(fleet: Fleet) -> float:
+    """How far outside the geofence a robot may be that brakes as it leaves it, m."""
+    control = fleet.control
+    braking = min(BRAKE_DECELERATION_MAX, control.max_acceleration)
+    most_mps = 1.1 * control.max_speed_mps + 0.1
+    return most_mps**2 / (2.0 * braking) + most_mps * (control.wrench_timeout_s + 0.1)
 
 
 def _driven(recording: Recording, a: Analysis) -> Iterator[tuple[int, int, Flags]]:

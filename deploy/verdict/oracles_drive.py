@@ -170,6 +170,9 @@ def last_trouble_s(recording: Recording, a: Analysis) -> float | None:
     times += [t for event in recording.events if 0.0 <= (t := recording.fleet_time_s(event.time_ns)) <= end_s]
     for robot in recording.ids:
         times += [end for start, end in recording.halts(robot) if start < end_s]
+        # Who was let go, and is back, has its way to go; others wait for it.
+        released = recording.robots[robot].status.periods(State.RELEASED.value)
+        times += [end for _, end, _ in released if end is not None and end <= end_s]
     for span in windows(recording):
         if span.rule.given(ACTION_FIELDS):  # a fault of one moment, for good or until its process is back
             times.append(span.start_s)
@@ -251,7 +254,8 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
             f"{a.wanted[-1, column]:.3f} m at the end{rest}, although nothing had happened to the fleet."
         )
         found.append(Violation("formed", end_s, message))
-    least_m = np.where(together(a), 0.0, error_m[a.grid >= end_s - LAST_S].min(axis=0))
+    lately = np.where(a.unknown, np.inf, error_m)[a.grid >= end_s - LAST_S].min(axis=0)  # as far as is known
+    least_m = np.where(together(a) | np.isinf(lately), 0.0, lately)
     far = int(least_m.argmax())
     if least_m[far] > allowed_m(a):
         message = (

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from agent.control.safety_distances import acceleration_max
 from agent.fleet.fault_rules import Impairments, Rule
 from agent.fleet.model import Fleet
 from agent.formation.points import Floats
@@ -146,6 +147,8 @@ def _moves(
         at = int(np.searchsorted(t, start_s))
         most = float(speed[at : at + 20].max(initial=0.0))
         hardest = BRAKE_DECELERATION_MAX if body.max_force_n is None else body.max_force_n / body.mass_kg
+        if body.kind.vehicle:  # it brakes as the fleet counts on, not as a unicycle can
+            hardest = acceleration_max(fleet)
         braking_s = most / min(BRAKE_DECELERATION_MAX, hardest) + 5.0 * BRAKE_TIME_S
     due = t > max(start_s + limit_s + braking_s, from_s)
     for down in downs(recording, data.id, "plant"):

@@ -32,11 +32,13 @@ def warnings(recording: Recording) -> list[str]:
         if not late:
             continue
         took = np.concatenate([recording.robots[robot].status.tick_us for robot in late])
-        takes_ms = float(np.median(took)) / 1e3
+        though = ""
+        if len(took):  # a status may count no tick: one that is forged, or cut out of a damaged file
+            though = f", though a tick takes {float(np.median(took)) / 1e3:.1f} ms of {period_ms:.3g} ms"
         out.append(
-            f"{_name(host)} was too slow for its processes: {robots(late)} {_did(recording, slow, late)}, "
-            f"though a tick takes {takes_ms:.1f} ms of {period_ms:.3g} ms. What came late of that is not the "
-            "fleet's doing: other programs run there, or too many robots at this rate."
+            f"{_name(host)} was too slow for its processes: {robots(late)} {_did(recording, slow, late)}"
+            f"{though}. What came late of that is not the fleet's doing: other programs run there, or too "
+            "many robots at this rate."
         )
     return out
 

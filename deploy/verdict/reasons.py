@@ -13,8 +13,9 @@ from deploy.analysis.patience import SHARE_MAX
 from deploy.analysis.stability import SETTLED
 from deploy.console.wording import NAMES_SHOWN, grouped, robots
 from deploy.recording.recording import Recording
-from deploy.verdict import link_metrics, overload
+from deploy.verdict import link_metrics, overload, releases
 from deploy.verdict.completeness import Completeness, last_states
+from deploy.verdict.gaps import damage
 from deploy.verdict.oracles_drive import RECOVERED_S
 from deploy.verdict.overload import SKIPPED_SHARE
 from deploy.verdict.tracking import Tracking
@@ -42,14 +43,17 @@ def reasons(
         tracking: who was not at its place at the end.
     """
     data = Completeness(recording, a)
-    states = _states(recording, data.members)
-    # Where no mission was given, nobody was to go anywhere.
-    unsettled = [] if recording.epoch_ns is None else [*_unsettled(recording, a, tracking), *tracking.reasons]
+    states = [*_states(recording, data.members), *releases.losses(recording, data.members)]
+    # Where no mission was given, nobody was to go anywhere; what is not all there does not tell of the end.
+    unsettled = []
+    ends = damage.cut_short(recording) is None
+    if recording.epoch_ns is not None and ends:
+        unsettled = [*_unsettled(recording, a, tracking), *tracking.reasons]
     own = sorted([*data.reasons, *states], key=lambda reason: not of_fault(reason))
     found = [*recording.reasons, *own]
     for name, each in violations.items():
-        if name in ("recovery", "formed") and (states or unsettled):
-            continue  # the same, in words about the end
+        if name in ("recovery", "formed") and (states or unsettled or not ends):
+            continue  # the same, in words about the end; or where that is not known
         found += [violation.message for violation in each or ()]
     found += unsettled
     return [*overload.explains(recording), *found] if len(found) > FEW else found
@@ -68,10 +72,11 @@ def warnings(
     Args:
         about_links: as `deploy.verdict.link_metrics.describe_links` gives it.
     """
-    found = [f"{warning}." for warning in recording.warnings] + _releases(recording)
     data = Completeness(recording, a)
+    found = [f"{warning}." for warning in recording.warnings] + releases.warnings(recording, data.members)
     found += [*data.warnings, *_states(recording, frozenset(recording.ids) - data.members)]
-    found += _late_laws(recording) + overload.warnings(recording) + tracking.warnings
+    found += _late_laws(recording) + overload.warnings(recording)
+    found += tracking.warnings if damage.cut_short(recording) is None else tracking.behind
     found += link_metrics.clock_warnings(recording, about_links["clock_offsets"])
     if any(len(robot.hand) for robot in recording.robots.values()):  # else links were not looked at
         found += link_metrics.idle_rules(recording, a)
@@ -125,22 +130,6 @@ def _ended(ids: Sequence[int], state: str, reason: str) -> str:
         State.HOLDING.value: f"{they} braked, and waited until {they} might drive again",
     }.get(state, f"{they} did not drive")
     return f"{robots(ids).capitalize()} ended the drive in state {state}: {meaning}{why}."
-
-
-def _releases(recording: Recording) -> list[str]:
-    """Sentences for the times in which robots were their operators'."""
-    out = []
-    for robot, data in recording.robots.items():
-        for start_s, end_s, reason in data.status.periods(State.RELEASED.value):
-            if start_s >= recording.end_s:
-                continue
-            until = "the end" if end_s is None or end_s >= recording.end_s else f"{end_s:.1f} s"
-            why = f" ({reason})" if reason else ""
-            out.append(
-                f"Robot {robot} was released to its operator from {start_s:.1f} s to {until}{why}: it did "
-                "not follow the law then."
-            )
-    return out
 
 
 def _unsettled(recording: Recording, a: Analysis, tracking: Tracking) -> list[str]:

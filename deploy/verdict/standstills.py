@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.supervision.state_machine import State
+from deploy.analysis.gaps import is_lost
 from deploy.analysis.presence import downs
 from deploy.recording.recording import Recording, once
 from deploy.recording.tables import StatusTable
@@ -97,7 +98,7 @@ def stalls(recording: Recording) -> Sequence[Stall]:
         for k in np.flatnonzero(np.diff(times) > STALL_S).tolist():
             start_s, end_s = float(times[k]), float(times[k + 1])
             on_purpose = any(down.start_s < end_s and down.end_s > start_s - STALL_S for down in paused)
-            if end_s > 0.0 and not on_purpose:
+            if end_s > 0.0 and not on_purpose and not is_lost(recording, start_s, end_s):
                 found.append(Stall(host, start_s, end_s, _cause(recording, ids, start_s, end_s)))
     return found
 

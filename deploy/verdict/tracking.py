@@ -24,6 +24,7 @@ from agent.fleet.fault_rules import ACTION_FIELDS
 from agent.formation.points import Floats
 from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis
+from deploy.analysis.gaps import kept_through
 from deploy.analysis.places import LAST_S, allowed_m, distances_m, together
 from deploy.analysis.presence import Flags, downs, said
 from deploy.console.wording import robots
@@ -98,7 +99,7 @@ class Tracking:
         self._recording, self._a = recording, a
         self._allowed_m = allowed_m(a)
         self._distances = distances_m(a)
-        self._far: Flags = self._distances > self._allowed_m  # False for NaN
+        self._far: Flags = kept_through(self._distances > self._allowed_m, a.unknown)  # False for NaN
         self.off: Sequence[Off] = tuple(self._at_the_end())
 
     @cached_property
@@ -127,7 +128,7 @@ class Tracking:
             text = f": {'; '.join(why)}" if why else ""
             coming = ", and coming nearer" if all(off.due_s < inf for off in each) else ""
             out.append(f"{self._how_far(each)}{coming}{text}. The drive ended too early to judge that.")
-        return out + self._behind()
+        return out + self.behind
 
     def _how_far(self, group: Sequence[Off]) -> str:
         a = self._a
@@ -143,7 +144,8 @@ class Tracking:
         recording, a = self._recording, self._a
         end_s = float(a.grid[-1])
         lately = a.grid >= end_s - LAST_S
-        candidates = np.flatnonzero(self._far[lately].all(axis=0)).tolist()
+        known = np.isfinite(self._distances[-1])  # else its poses end before the drive, which is said
+        candidates = np.flatnonzero(self._far[lately].all(axis=0) & known).tolist()
         alike = together(a)
         troubles = [each for each in self._troubles if each[1] + RECOVERED_S >= end_s]
         for index in candidates:
@@ -164,7 +166,8 @@ class Tracking:
                 bool(alike[index]),
             )
 
-    def _behind(self) -> list[str]:
+    @property
+    def behind(self) -> list[str]:
         """Sentences for who fell behind in mid-drive, though nothing had happened or was in its way."""
         recording, a = self._recording, self._a
         found: dict[tuple[str, ...], list[_Behind]] = {}
@@ -173,7 +176,7 @@ class Tracking:
                 start_s, end_s = float(a.grid[first]), float(a.grid[last])
                 if end_s - start_s <= LONG_S or start_s <= FIRST_S or last == len(a.grid) - 1:
                     continue
-                row = first + int(np.argmax(self._distances[first : last + 1, index]))
+                row = first + int(np.nanargmax(self._distances[first : last + 1, index]))
                 worst_s = float(a.grid[row])
                 driving = said(recording.robots[robot].status, a.grid[first : last + 1], DRIVING_NAMES)
                 after = start_s + REACTION_S
@@ -253,5 +256,6 @@ def _stretches(flags: Flags) -> list[tuple[int, int]]:
 
 def _due_s(distances: Floats, span_s: float) -> float:
     """How soon a robot is at its place that comes nearer as it did in `span_s`, s; inf: never."""
-    rate = float(distances[0] - distances[-1]) / span_s if span_s > 0.0 else 0.0
-    return float(distances[-1]) / rate if rate > 0.0 else inf
+    known = distances[np.isfinite(distances)]
+    rate = float(known[0] - known[-1]) / span_s if span_s > 0.0 else 0.0
+    return float(known[-1]) / rate if rate > 0.0 else inf

@@ -311,6 +311,7 @@ def _heard_of(fleet: Fleet) -> list[str]:
         key_expressions.plant_truth,
         key_expressions.beacon,
         key_expressions.checks,
+        key_expressions.status_texts,
         key_expressions.relayed,
     )
     return [

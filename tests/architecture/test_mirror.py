@@ -25,9 +25,7 @@ BY_OTHERS: Final = {
         deploy/commands/local/export
         deploy/commands/local/film
         deploy/commands/local/new
-        deploy/commands/local/preflight
         deploy/commands/local/rover_simulator
-        deploy/commands/local/run
         deploy/commands/local/simulate
         deploy/commands/local/view
         deploy/commands/running/heartbeat
@@ -114,7 +112,6 @@ BY_OTHERS: Final = {
         agent/fleet/fault_targets
         agent/fleet/sections
         agent/formation/points
-        bridges/mavlink/bridge/parameter_audit
         bridges/mavlink/session/codec
         bridges/mavlink/session/settings
         deploy/analysis/clearances

@@ -157,9 +157,8 @@ def test_its_clock_is_found_by_timesync(field: Field, vehicle: Vehicle) -> None:
 
 def test_its_parameters_are_read(field: Field, vehicle: Vehicle) -> None:
     field.until(lambda: vehicle.link.parameters_done, "its parameters", BOOT_S)
-    for names in (constants.WP_SPEED, constants.ATC_ACCEL_MAX, constants.FS_ACTION, constants.SYSTEM_ID):
+    for names in (constants.WP_SPEED, constants.ATC_ACCEL_MAX, constants.FS_ACTION):
         assert vehicle.link.parameter(names) is not None, names
-    assert vehicle.link.parameter(constants.SYSTEM_ID) == vehicle.link.system
 
 
 def test_it_becomes_ready_and_nothing_blocks(field: Field, vehicle: Vehicle) -> None:

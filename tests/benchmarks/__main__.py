@@ -38,6 +38,8 @@ NAMES: Final = (
     "swaps",
     "step_response",
     "rovers",
+    "rover_starts",
+    "rover_failures",
     "bridge",
     "recording",
     "view",

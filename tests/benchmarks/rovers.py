@@ -77,7 +77,7 @@ def run(options: Options) -> Result:
             pairs[:, np.eye(pairs.shape[1], dtype=bool)] = np.inf
             verdict = json.loads((folder / "metrics.json").read_text())["verdict"]
             result.figures += [
-                Figure(f"{arm}: every edge within {WITHIN_M} m after", settled_s, "s", 20.0),
+                Figure(f"{arm}: every edge within {WITHIN_M} m after", settled_s, "s", 13.0),
                 Figure(
                     f"{arm}: worst edge in the last {LAST_S:.0f} s",
                     float(worst[grid >= duration_s - LAST_S].max()),

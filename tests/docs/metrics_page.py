@@ -5,7 +5,10 @@ from __future__ import annotations
 import sys
 from textwrap import fill
 
+from deploy.analysis.gaps import GAP_S, PERIODS
+from deploy.verdict.gaps.missing_poses import SHARE_MAX
 from deploy.verdict.metrics import METRICS, Metric
+from deploy.verdict.oracles_drive import SPEED_MORE_MPS, SPEED_SHARE
 
 HEAD = """# Metrics
 
@@ -18,9 +21,45 @@ Those with a name in brackets are in the report's table. *Sweeps* name the colum
 
 """
 
+TAIL = f"""
+## Where poses are missing
+
+Between two poses of a robot that are up to {GAP_S:g} s apart (or {PERIODS:g} periods of a slow body) it is
+taken to have gone straight on. What is longer is a **gap**: where the robot was meanwhile is not known.
+
+- **Distances** in a gap are not known. They are no violation, and in no least distance and no error; figures
+  have a hole there.
+- **Settling**: an edge that was off its distance before a gap, or is after it, was off all the while, and so
+  was a robot that was off its place. What was right at both ends counts as right.
+- **What was at stake**: from the pose before to the pose after, a hand went no faster than the verdict lets
+  it ({SPEED_SHARE:g} times `control.max_speed_mps`, and {SPEED_MORE_MPS:g} m/s), or than it was measured in
+  the drive. So at any time it was within a disc about each of these poses, and all in all within an
+  ellipse. If it can nowhere have come nearer to another robot than the safe distance, to an obstacle than
+  the clearance, or further outside the geofence than braking takes, the gap is a warning. Else the verdict
+  fails, and says that it is not known: `it may have come within 0.31 m of robot 2 (safe distance 0.66 m)`.
+  Another robot is where it was measured, or within bounds of its own.
+- A gap fails the verdict, too, if the robot moved further in it than it can; if it lasts to the end of the
+  drive; and if the gaps of a robot are more than {100 * SHARE_MAX:.0f} % of the drive: a robot is judged by
+  its poses, and radios that are fit to drive by lose a few per cent.
+- Only warnings: a gap of a plant that a rule stopped, unless it lasts to the end; of a robot that was killed
+  for good; of one that has no place in the formation; and, where the robot moved less than the safe distance
+  meanwhile, one of a machine that was too slow or stood still.
+- Of a **damaged file** one sentence says what is lost; it fails the verdict where such a gap would, and where
+  the file ends in mid-drive. No robot is blamed for it.
+
+## Robots that stop following
+
+A robot in state released to the end of the drive is a warning where its operator took it. Where the bridge
+let go of a vehicle that does not follow its commands, or was not heard for long, the verdict fails with its
+reason. Recordings tell the two apart by the bridge's words alone. A vehicle's own failsafe that changes its
+mode (battery, remote control, fence) says the same as its operator, and is a warning; one of its EKF or GPS
+is a fault before that, and its robot, which does not drive on by itself, fails the verdict.
+"""
+
 
 def render() -> str:
-    return HEAD + "".join(f"{fill(_item(metric), 110, subsequent_indent='  ')}\n" for metric in METRICS)
+    items = "".join(f"{fill(_item(metric), 110, subsequent_indent='  ')}\n" for metric in METRICS)
+    return HEAD + items + TAIL
 
 
 def _item(metric: Metric) -> str:

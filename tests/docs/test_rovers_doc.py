@@ -7,23 +7,36 @@ from pathlib import Path
 
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
+from agent.formation.geometry import resolved
 from bridges.mavlink.session.parameters import AUDITED
 from deploy.check.check import check
+from deploy.console.data_files import FLEETS
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "rovers.md").read_text(encoding="utf-8")
+ON_HOSTS = (ROOT / "docs" / "rovers-on-hosts.md").read_text(encoding="utf-8")
+TOML = re.compile(r"^```toml\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCKS = TOML.findall(TEXT)
 MEASURED = (ROOT / "docs" / "rovers-measurements.md").read_text(encoding="utf-8")
 
 
 def fleet(*overrides: str) -> Fleet:
-    (block,) = re.findall(r"^```toml\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
-    return parse_fleet(block, source="docs/rovers.md", overrides=overrides)
+    return parse_fleet(BLOCKS[0], source="docs/rovers.md", overrides=overrides)
 
 
 def test_its_fleet_file_is_sound_but_for_signing() -> None:
     found = check(fleet())
-    assert [finding.place for finding in found] == ["robot[1].mavlink.signing_key"]
+    unsound = [finding.place for finding in found if finding.level != "info"]
+    assert unsound == ["robot[1].mavlink.signing_key"]
     assert [robot.plant for robot in fleet().robots] == ["mavlink", "mavlink"]
+
+
+def test_the_fleet_on_hosts_is_the_bundled_one_word_for_word() -> None:
+    (block,) = TOML.findall(ON_HOSTS)
+    assert block == (FLEETS / "rovers_on_hosts.toml").read_text(encoding="utf-8")
+    found = check(resolved(parse_fleet(block, source="docs/rovers.md")))
+    assert {finding.level for finding in found} <= {"info", "warning"}
+    assert [finding.place for finding in found if finding.level == "warning"] == ["datum"]
 
 
 def test_one_rover_can_be_tried_with_a_simulated_partner() -> None:

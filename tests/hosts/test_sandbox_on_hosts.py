@@ -27,7 +27,6 @@ from tests.process.harness import measured, wait_for
 pytestmark = pytest.mark.timeout(400)
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
 PROBE: Final = Path(__file__).with_name("sandbox_probe.py")
-SERIAL_PORT: Final = Path(__file__).with_name("serial_port.py")
 READY: Final = "ready, ms"
 FOLDER: Final = ".local/share/handfast/fleets/pair"
 FILTERED: Final = {"packets", "kernel's log", "namespace", "set-user-ID", "realtime"}
@@ -152,18 +151,21 @@ def test_a_bridge_drives_its_vehicle_on_a_serial_port(fleet: FleetOnHosts) -> No
     versions = host.home / ".local/share/handfast/versions"
     (version,) = [path.name for path in versions.iterdir()]
     python = f"{host.environment['HOME']}/.local/share/handfast/versions/{version}/bin/python"
-    (host.home / "serial_port.py").write_bytes(SERIAL_PORT.read_bytes())
     raw = with_rover(fleet, "simulator")
     (fleet.folder / "rover").mkdir()
     rover = FleetOnHosts(fleet.hosts, fleet.folder / "rover", raw, fleet.cache)
-    words = vehicle(resolved(parse_fleet(rover.file.read_text(), source="here")), 2, 5599).arguments
-    begin = shlex.join([python, "-P", "serial_port.py", "/run/serial", "5599", *words])
+    words = vehicle(resolved(parse_fleet(rover.file.read_text(), source="here")), 2, 5599).arguments[1:]
+    port = "--listen=serial:/run/serial:115200"
+    begin = shlex.join([python, "-P", "-m", "bridges.mavlink.simulator", port, *words])
     host.run(f"setsid {begin} </dev/null >/run/rover.log 2>&1 &", check=True)
-    device = wait_for(lambda: host.run("cat /run/serial").stdout, "the rover's serial port")
+    device = wait_for(lambda: host.run(["readlink", "/run/serial"]).stdout.strip(), "the rover's serial port")
+    host.run(["chgrp", "dialout", device], check=True)
+    host.run(["chmod", "660", device], check=True)
     assert host.run(["stat", "-c", "%U %G %a", device]).stdout == "root dialout 660\n"
     rover = FleetOnHosts(fleet.hosts, fleet.folder / "rover", with_rover(fleet, device), fleet.cache)
     rover.handfast("keys")
-    rover.handfast("up", timeout=UP_TIMEOUT_S)
+    told = rover.handfast("up", timeout=UP_TIMEOUT_S)
+    assert f"robot 2: {device}: " not in told.stderr, "the user is in the port's group, and so is his systemd"
     assert "formation within 5 %" in rover.handfast("drive", "--out", "drive", "--no-report").stdout
     found = probed(fleet.hosts, host, unit_text(host, 2, "plant", rover.name))
     assert refused(found) == FILTERED | SHUT | {"executable memory"}, found

@@ -118,7 +118,7 @@ class Rovers(Robots):
         now_ns = time.time_ns()
         key = key_expressions.resume(self.name)
         self.bus.declare(key)
-        self.bus.publish(key, encode(Resume(now_ns // 1_000_000, now_ns, robots)))
+        self.bus.publish(key, encode(Resume(now_ns // 1_000, now_ns, robots)))
 
     def checks(self, robot: int) -> dict[str, tuple[str, str]]:
         """Level and found, by the name of the line."""

@@ -19,6 +19,7 @@ DRIVEN_ELSEWHERE = {
     "pair": "tests/process/test_run.py",
     "reserve": "tests/process/test_membership.py",
 }
+ON_HOSTS = {"rovers_on_hosts": "tests/hosts/test_rovers_on_hosts.py"}
 SLOWLY = (
     "--set",
     "fleet.rate_hz=10",
@@ -34,8 +35,10 @@ NETWORK = ("--set", "network.base_port=21120")
 
 
 def test_each_is_driven_here_or_elsewhere() -> None:
-    assert {*DRIVEN, *DRIVEN_ELSEWHERE} == set(bundled(FLEETS))
+    assert {*DRIVEN, *DRIVEN_ELSEWHERE, *ON_HOSTS} == set(bundled(FLEETS))
     root = Path(__file__).parents[2]
+    for name, path in ON_HOSTS.items():
+        assert f'"{name}"' in (root / path).read_text(encoding="utf-8")
     for name, path in DRIVEN_ELSEWHERE.items():
         assert f'"run", "{name}"' in (root / path).read_text(encoding="utf-8")
 

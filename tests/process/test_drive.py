@@ -53,7 +53,13 @@ def end(fleet: Robots, command: Command) -> int:
 
 def complete(folder: Path) -> dict[str, object]:
     """The metrics of a drive whose folder is complete."""
-    assert {path.name for path in folder.iterdir()} == {"fleet.toml", ROBOTS_FILE, "run.mcap", "metrics.json"}
+    assert {path.name for path in folder.iterdir()} == {
+        "events.txt",
+        "fleet.toml",
+        ROBOTS_FILE,
+        "run.mcap",
+        "metrics.json",
+    }
     assert not read_run(folder).foreign
     metrics: dict[str, object] = json.loads((folder / "metrics.json").read_text())
     return metrics

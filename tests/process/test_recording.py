@@ -118,9 +118,8 @@ def test_a_drive_is_recorded_and_a_killed_recorder_loses_a_second(tmp_path: Path
     assert len(found.warnings) <= 1
     metrics = found.result.metrics
     reasons = metrics["verdict"]["reasons"]
-    assert [
-        reason for reason in reasons if not reason.startswith("The data are incomplete: robot 2 sent no pose")
-    ] == own["verdict"]["reasons"]
+    about_others = [reason for reason in reasons if "robot 2 sent no pose" not in reason.lower()]
+    assert about_others == own["verdict"]["reasons"]
     assert metrics["final_distance_error_m"] == pytest.approx(own["final_distance_error_m"], abs=1e-9)
     assert metrics["final_tracking_error_m"] == pytest.approx(own["final_tracking_error_m"], abs=1e-9)
     assert metrics["duration_s"] == own["duration_s"]

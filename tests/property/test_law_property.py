@@ -449,6 +449,77 @@ def test_nobody_gains_energy_on_a_way_round_its_place():
     assert abs(on_a_square(by_direction)) > 1.0  # J/kg each time round
 
 
+def firmer(error: Vector, place: Vector, c1: float, c2: float, most: float, rate: float) -> Vector:
+    """The pull of (N2), m/s^2: c1 times the error that acts, as firm as it is."""
+    acting = law.acting_error(error, place, c1, c2, most)
+    firm = law.firmness(error, acting, place, c1, c2, most, rate)
+    return firm * c1 * acting[0], firm * c1 * acting[1]
+
+
+def firm_potential(error: Vector, place: Vector, most: float, rate: float) -> float:
+    """Psi(U) of (N2): Psi' is gamma."""
+    u = potential(error, place, C1, C2, most)
+    near = 0.5 * C1 * ((reach(place, most) + hypot(*place)) * C2 / C1) ** 2
+    cap = max(1.0, min(law.FIRMEST, rate / C2))
+    until = near * (2.0 * cap - 1.0)  # from there on gamma is what the loop carries
+    if u <= near:
+        return u
+    between = min(u, until)
+    return near + 0.5 * (between - near) + 0.25 * (between**2 - near**2) / near + cap * (u - between)
+
+
+@given(NEAR, NEAR, st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), st.floats(0.3, 3.0), GAIN)
+def test_the_firm_pull_is_the_gradient_of_a_function_of_that_potential(
+    x: float, y: float, place: Vector, most: float, rate: float
+):
+    pull = firmer((x, y), place, C1, C2, most, rate)
+    step = 1e-5
+    for axis, (dx, dy) in enumerate(((step, 0.0), (0.0, step))):
+        ahead, behind = (
+            firm_potential((x + sign * dx, y + sign * dy), place, most, rate) for sign in (1.0, -1.0)
+        )
+        assert (ahead - behind) / (2.0 * step) == pytest.approx(pull[axis], rel=1e-4, abs=1e-3)
+
+
+@given(ERROR, ERROR, PLACE, GAIN, GAIN, SPEED, GAIN)
+def test_the_firm_pull_is_between_those_of_n1_and_of_21(
+    x: float, y: float, place: Vector, c1: float, c2: float, most: float, rate: float
+):
+    """So what `check` promises by the energy at the start, with c1/2 |e|^2 in it, holds."""
+    acting = law.acting_error((x, y), place, c1, c2, most)
+    firm = law.firmness((x, y), acting, place, c1, c2, most, rate)
+    away = hypot(x, y)
+    assert 1.0 <= firm <= max(1.0, min(law.FIRMEST, rate / c2))
+    assert firm * hypot(*acting) <= max(away, hypot(*acting)) * (1.0 + 1e-9)
+
+
+@given(groups(clearance_min=0.1), st.floats(0.2, 3.0), st.floats(0.1, 6.0))
+def test_the_energy_falls_at_least_as_fast_where_the_pull_is_firm(g: Group, most: float, rate: float):
+    """(J3) with Psi(U) of (N2) in the place of c1/2 |e|^2: damping is firm by as much."""
+    place = float(g.reference[0]), float(g.reference[1])
+    errors = g.error.T.tolist()
+    acting = np.array([law.acting_error((x, y), place, C1, C2, most) for x, y in errors]).T
+    firm = np.array(
+        [
+            law.firmness((x, y), (ax, ay), place, C1, C2, most, rate)
+            for (x, y), (ax, ay) in zip(errors, acting.T.tolist(), strict=True)
+        ]
+    )
+    i, j = g.graph.T
+    v = g.error_rate + g.reference[:, None]
+    fn = fleet_law.navigation_force(0.0, acting, g.error_rate, firm * C1, firm * C2)
+    e = fleet_law.edges(g.r[:, i] - g.r[:, j], v[:, i] - v[:, j], fn[:, i] - fn[:, j], g.d, RS, g.gains)
+    lam = fleet_law.multipliers_joint(e, i, j, g.n)
+    edot2 = fn + fleet_law.total_forces(fleet_law.forces(e, lam), i, j, g.n)
+    k2, kd, kp = e.softness, g.gains.kd, g.gains.kp
+    lost = float(np.sum(firm * C1 * acting * g.error_rate) + np.sum(g.error_rate * edot2))
+    lost += float(np.sum((e.rate * (-kd * e.rate - kp * e.phi - k2 * lam) + kp * e.phi * e.rate) / k2))
+    size = float(np.abs(firm * C1 * acting * g.error_rate).sum() + np.abs(g.error_rate * edot2).sum())
+    size += float(np.sum(np.abs(e.rate) * (kd * np.abs(e.rate) + kp * np.abs(e.phi) + k2 * np.abs(lam)) / k2))
+    expected = dissipation(g) - C2 * float(np.sum((firm - 1.0) * g.error_rate**2))
+    assert abs(lost - expected) <= 1e-9 * size + 1e-12
+
+
 @given(groups(clearance_min=0.1), st.floats(0.2, 3.0))
 def test_the_energy_falls_far_from_the_places_too(g: Group, most: float):
     """(J3) with U of (N1) in the place of c1/2 |e|^2."""

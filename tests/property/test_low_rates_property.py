@@ -115,10 +115,10 @@ def test_a_fleet_at_2_hz_with_a_long_hand_crosses_calmly() -> None:
     assert fastest(fleet) < 1.01
 
 
-def test_a_barrier_that_the_rate_cannot_carry_drives_it_to_any_speed_and_is_refused() -> None:
+def test_a_barrier_that_the_rate_cannot_carry_drives_it_far_beyond_its_limit_and_is_refused() -> None:
     fleet = parse_fleet(RATE3, source="rate3.toml", overrides=("avoidance.barrier_rate=3",))
     assert "avoidance.barrier_rate" in {each.place for each in check(fleet) if each.level == "error"}
-    assert fastest(fleet) > 3.0
+    assert fastest(fleet) > 2.0
 
 
 @pytest.mark.parametrize(("c2", "grows"), [(1.8, False), (2.2, True)])

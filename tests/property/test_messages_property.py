@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import struct
 import time
 from collections.abc import Callable
@@ -49,14 +50,18 @@ def floats_of(value: Any) -> list[float]:
 
 def survives(payload: bytes) -> Message | None:
     """Decodes; whatever comes of it must be a refusal by a known reason or a valid message."""
-    start = time.process_time()
     message: Message | None = None
     refused: Malformed | None = None
+    gc.disable()  # the garbage of Hypothesis is not part of it: collecting that has taken a second
+    start = time.thread_time()
     try:
         message = decode(payload)
     except Malformed as error:
         refused = error
-    assert time.process_time() - start < 1.0
+    finally:
+        took_s = time.thread_time() - start
+        gc.enable()
+    assert took_s < 1.0
     if refused is not None:
         assert refused.reason in REASONS
         assert len(str(refused)) < 300
@@ -299,7 +304,7 @@ def test_integers_and_single_precision_are_taken_for_floats(message: Wrench):
     head = msgpack.packb([VERSION, 2, *message[:3]])[1:]
     single = struct.pack(">f", 1.5)
     mixed = decode(sealed(b"\x98" + head + b"\xca" + single + b"\x02" + b"\xc3"))
-    assert mixed == message._replace(force=1.5, torque=2.0, brake=True, clock=())
+    assert mixed == message._replace(force=1.5, torque=2.0, brake=True, clock=(), step=0)
     assert type(mixed.torque) is float
 
 

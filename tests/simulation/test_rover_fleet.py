@@ -10,40 +10,20 @@ import pytest
 
 from agent.common.time import NS_PER_S
 from agent.core import Agent
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
-from agent.messages.types import Checks, HandState, PlantState, Resume, Status, Wrench
+from agent.messages.types import Checks, HandState, PlantState, Resume, Status, Stop, Wrench
 from agent.supervision.state_machine import State
 from bridges.mavlink.ardupilot import frames
 from bridges.mavlink.ardupilot.frames import datum_of
+from bridges.mavlink.bridge.authority import REBOOTED
+from bridges.mavlink.bridge.backend import BEGUN_LATE
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from bridges.mavlink.simulator.rover import Rover
-from deploy.console.data_files import FLEETS
 from deploy.simulate.simulation import Simulation
+from tests.rover_fleet import three
 
 BRAKES_S = 0.3
-FORMATION = (
-    "formation.edges=[[1,2],[1,3],[2,3]]",
-    "formation.offsets=[[0.0,-1.732],[1.5,0.866],[-1.5,0.866]]",
-    "trajectory.start_m=[0.0,0.0]",
-    "robot.1.x_m=-0.4",
-    "robot.1.y_m=-1.9",
-    "robot.2.x_m=1.3",
-    "robot.2.y_m=1.0",
-    "robot.3.x_m=-2.0",
-    "robot.3.y_m=0.7",
-)
-"""Three of the rovers in a triangle, near their places from the start."""
-
-
-def three(*overrides: str, rules: tuple[str, ...] = ()) -> Any:
-    """The first three of the bundled fleet of rovers, with fault rules."""
-    text = (FLEETS / "rovers.toml").read_text(encoding="utf-8")
-    text = "[[robot]]".join(text.split("[[robot]]")[:4])
-    text += "".join(f"\n[[faults.rule]]\n{rule}\n" for rule in rules)
-    return resolved(parse_fleet(text, source="here", overrides=[*FORMATION, *overrides]))
 
 
 class Run:
@@ -102,8 +82,12 @@ class Run:
         return [m for _, _, m in self.said if type(m) is kind and m.robot == robot and m.time_ns >= since_ns]
 
     def resume(self, *robots: int) -> None:
-        message = Resume(self.now_ns // 1_000_000, self.now_ns, robots)
+        message = Resume(self.now_ns // 1_000, self.now_ns, robots)
         self.simulation.publish(key_expressions.resume(self.name), encode(message))
+
+    def stop(self) -> None:
+        message = Stop(self.now_ns // 1_000, self.now_ns, "lunch")
+        self.simulation.publish(key_expressions.stop(self.name), encode(message))
 
     def distance(self, one: int, other: int) -> float:
         """Of two hand points in truth, m."""
@@ -193,7 +177,7 @@ def test_an_agent_that_dies_has_its_rover_brake_and_a_new_one_drives_on() -> Non
     assert run.edges_within(0.15)
 
 
-def test_a_bridge_that_dies_leaves_its_rover_standing_and_a_new_one_drives_on() -> None:
+def test_a_bridge_that_dies_leaves_its_rover_standing_and_a_new_one_drives_on_when_told() -> None:
     run = Run(rules=("robot = 2\nat = 8\nfor = 6\nkill = 'plant'",))
     run.until_fleet_time(8.0)
     rover = run.rover(2)
@@ -206,11 +190,48 @@ def test_a_bridge_that_dies_leaves_its_rover_standing_and_a_new_one_drives_on() 
     assert abs(rover.speed) < 0.06
     assert (rover.mode, rover.armed) == ("GUIDED", True)
     run.until_fleet_time(14.0)
+    run.until(lambda: run.reasons()[2] == BEGUN_LATE, 5.0)
+    run.run(3.0)
+    assert abs(rover.speed) < 0.06, "a new bridge does not know what its operator did before"
+    run.resume(2)
     run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
     assert run.rover(2) is rover
     run.run(15.0)
     assert run.states() == dict.fromkeys((1, 2, 3), "running")
     assert run.edges_within(0.15)
+
+
+def test_when_both_of_its_processes_die_no_new_ones_drive_on_before_they_are_told() -> None:
+    """However soon they are back, and though the others still drive by the mission."""
+    run = Run(rules=tuple(f"robot = 2\nat = 8\nfor = 1\nkill = '{role}'" for role in ("agent", "plant")))
+    run.until_fleet_time(12.0)
+    run.until(lambda: run.reasons()[2] == BEGUN_LATE, 5.0)
+    run.run(3.0)
+    assert abs(run.rover(2).speed) < 0.06
+    assert not any(m.driving for m in run.heard(PlantState, 2, run.now_ns - 3 * NS_PER_S))
+    run.resume(2)
+    run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
+
+
+@pytest.mark.parametrize("stopped", [False, True], ids=["driving", "stopped"])
+def test_a_resume_that_was_said_while_both_were_dead_does_not_count(stopped: bool) -> None:
+    """Its operator had the rover then, and gave it back; others say the resume again to who lacks it."""
+    run = Run(rules=tuple(f"robot = 2\nat = 8\nfor = 8\nkill = '{role}'" for role in ("agent", "plant")))
+    run.until_fleet_time(7.0)
+    if stopped:
+        run.stop()
+    run.until_fleet_time(10.0)
+    run.rover(2).set_mode("HOLD")
+    run.until_fleet_time(12.0)
+    run.resume()
+    run.until_fleet_time(14.0)
+    run.rover(2).set_mode("GUIDED")
+    run.until_fleet_time(20.0)
+    run.until(lambda: run.reasons()[2] == BEGUN_LATE, 5.0)
+    run.run(3.0)
+    assert abs(run.rover(2).speed) < 0.06
+    run.resume(2)
+    run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
 
 
 def test_a_bridge_that_dies_while_its_operator_has_the_rover_does_not_take_it() -> None:
@@ -221,7 +242,7 @@ def test_a_bridge_that_dies_while_its_operator_has_the_rover_does_not_take_it() 
     assert run.rover(2).set_mode("GUIDED")
     back_ns = run.now_ns
     run.run(4.0)
-    assert "waiting to be told to resume" in run.heard(PlantState, 2)[-1].note
+    assert "waiting to be told to resume" in run.reasons()[2]
     assert not any(m.driving for m in run.heard(PlantState, 2, back_ns))
     run.resume()
     run.until(lambda: run.agent(2).state is State.RUNNING, 2.0)
@@ -233,7 +254,8 @@ def test_a_vehicle_that_reboots_is_released_and_comes_back_when_told() -> None:
     since_ns = run.now_ns
     run.rover(2).reboot()
     run.until(lambda: run.agent(2).state is not State.RUNNING, 2.0)
-    run.until(lambda: run.agent(2).state is State.WAITING and run.rover(2).ready, 90.0)
+    run.until(lambda: run.agent(2).state is State.RELEASED and run.rover(2).ready, 90.0)
+    assert run.reasons()[2] == f"{REBOOTED}: mode MANUAL, not GUIDED"
     run.until(lambda: run.heard(PlantState, 2)[-1].healthy, 10.0)
     assert not any(m.driving for m in run.heard(PlantState, 2, since_ns + NS_PER_S))
     assert run.rover(2).set_mode("GUIDED")
@@ -254,6 +276,10 @@ def test_a_cut_link_is_a_fault_until_it_is_back() -> None:
     run.run(5.0)
     assert abs(run.rover(2).speed) < 0.06
     run.body(2).transport.cut = False
+    run.until(lambda: "may have had it" in run.reasons()[2], 5.0)
+    run.run(3.0)
+    assert abs(run.rover(2).speed) < 0.06, "its operator may have had it"
+    run.resume(2)
     run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
     places = [(m.x, m.y, m.time_ns) for m in run.heard(PlantState, 2) if m.healthy]
     for (x, y, before), (x1, y1, after) in pairwise(places):

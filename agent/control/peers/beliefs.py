@@ -25,6 +25,8 @@ DOUBT_AFTER_S: Final = 0.1
 """It grows from this age of a robot's last message on."""
 DOUBT_MAX: Final = 0.3
 """Largest position uncertainty, m: of what a robot says itself, and of what its silence adds."""
+DOUBT_ROLLS_MAX: Final = 10.0
+"""The same of what one says whose body may roll on: it tells of all of that way."""
 STANDS_S: Final = 1.0
 """Who hears nobody, or is told by beacons that nobody hears it, stands so long after it is given up."""
 STRETCHES_MAX: Final = 8
@@ -105,6 +107,15 @@ def said_doubt(age: float) -> float:
     return min(DOUBT_MAX, DOUBT_RATE * max(0.0, age - DOUBT_AFTER_S))
 
 
+def own_doubt(doubt: float, *, rolls: bool) -> float:
+    """What a robot said of its own position uncertainty (m), as far as it is believed.
+
+    Args:
+        rolls: whether nothing commands its body, which may go on as it went.
+    """
+    return min(DOUBT_ROLLS_MAX if rolls else DOUBT_MAX, doubt)
+
+
 def growth(age: float) -> float:
     """How fast that grows, m/s."""
     return DOUBT_RATE if 0.0 < age - DOUBT_AFTER_S < DOUBT_MAX / DOUBT_RATE else 0.0
@@ -149,6 +160,14 @@ def stood_on(way: Sequence[tuple[float, float, float]], doubt: float) -> Belief:
         stretches.append(Stretch(x, y, line.dx, line.dy, bends + doubt, after))
         low = high
     return _belief(stretches, tuple((x, y) for _, x, y in way), doubt)
+
+
+def rolled_on(belief: Belief, way: Sequence[tuple[float, float, float]], off: float) -> Belief:
+    """The same of a robot whose body may also have gone on along `way`, as in `stood_on`, until it stopped by
+    itself: nothing commands it. It may be `off` so far beside that, m."""
+    rolled = stood_on(way, belief.doubt + off)
+    stretches = sorted((*belief.stretches, *rolled.stretches), key=lambda each: each.after)
+    return _belief(stretches, (*belief.way, *rolled.way[1:]), belief.doubt)
 
 
 def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -> Belief:

@@ -6,17 +6,19 @@ Longer ways are made of such steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from math import ceil, exp, hypot, inf
 from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
-from agent.control.peers.beliefs import DOUBT_MAX, Belief, stood_on
+from agent.control.hand import Hand
+from agent.control.peers.beliefs import Belief, own_doubt, rolled_on, stood_on
 from agent.control.peers.lanes import Lane
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.prediction import Prediction, coasting, following, slowed, unforced
+from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc_of, moves, rolled
 from agent.formation.reference import Reference
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -47,12 +49,23 @@ class Forecast:
     Attributes:
         decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
+        speeding: how fast they come to that from far, 1/s, (N2).
         epoch_ns: a message from before is of a robot that stands until then.
     """
 
-    def __init__(self, c1: float, c2: float, motion: Motion, decay: float, most: float | None) -> None:
+    def __init__(
+        self,
+        c1: float,
+        c2: float,
+        motion: Motion,
+        decay: float,
+        most: float | None,
+        speeding: float = 0.0,
+        rolls_on: Mapping[int, Rolls] | None = None,
+    ) -> None:
         self._c1, self._c2, self._motion = c1, c2, motion
-        self.decay, self.most = decay, most
+        self.decay, self.most, self.speeding = decay, most, speeding
+        self._rolls_on = rolls_on or {}
         self.epoch_ns = 0
 
     def following(
@@ -74,7 +87,7 @@ class Forecast:
         if since is None:  # it has a place only since its message
             since = then
         age = (then_ns - since_ns) * 1e-9
-        found = following(message, then, since, age, self._c1, self._c2, self.decay, self.most)
+        found = following(message, then, since, age, self._c1, self._c2, self.decay, self.most, self.speeding)
         return (
             found
             if slowly == inf or age * NS_PER_S <= UNSURE_NS
@@ -102,13 +115,36 @@ class Forecast:
         One that stood then may have been about to drive; whoever has its body may drive it on, as long as it
         was not seen to stand.
         """
-        doubt = min(DOUBT_MAX, message.doubt)
+        rolls = self._rolls_on.get(message.robot)
+        doubt = own_doubt(message.doubt, rolls=rolls is not None and not message.following)
         if not message.following:
             doubt += min(DRIVEN_MAX, hypot(message.vx, message.vy))
         points = [(0.0, message.x, message.y)]
         onward = islice(self._onward(message, STEP_S, self._motion), ceil(until / STEP_S))
         points += [((k + 1) * STEP_S, x, y) for k, (x, y) in enumerate(onward)]
-        return stood_on(points, doubt)
+        belief = stood_on(points, doubt)
+        if rolls is None or not moves(message.vx, message.vy):
+            return belief
+        return rolled_on(belief, arc_of(message, rolls), ROLL_ERROR)
+
+    def rolling(self, message: HandState, age: float) -> Hand | None:
+        """Where the hand of a robot is, so many seconds after its message, that nothing commands since then;
+        None for one that stands by then, or brakes as others do."""
+        rolls = self._rolls_on.get(message.robot)
+        if rolls is None or not message.obeys or age > rolls.for_s:
+            return None
+        return rolled(message.x, message.y, message.obeys[0], rolls.reach, age)
+
+    def rests_off(self, last: HandState, message: HandState) -> float:
+        """How far from where `last` has it a robot comes to rest by `message`, m, if nothing commands it from
+        then on; inf where only one of them says that it rolls."""
+        rolls = self._rolls_on.get(message.robot)
+        if rolls is None or not (last.obeys and message.obeys):
+            return inf
+        age = (message.time_ns - last.time_ns) / NS_PER_S
+        then = rolled(last.x, last.y, last.obeys[0], rolls.reach, age + rolls.for_s)
+        now = rolled(message.x, message.y, message.obeys[0], rolls.reach, rolls.for_s)
+        return hypot(now.x - then.x, now.y - then.y)
 
     def lane(self, message: HandState, reference: Reference) -> Lane:
         """The way of a robot from its message on, to the end of the mission, if it follows `reference` and
@@ -151,6 +187,8 @@ class Forecast:
                     since_ns = min(self.epoch_ns, then_ns)
                     since = motion(robot, since_ns)
                 age = (then_ns - since_ns) * 1e-9
-                place = unforced(place, then, since or then, age, self._c1, self._c2, self.most)
+                place = unforced(
+                    place, then, since or then, age, self._c1, self._c2, self.most, self.speeding
+                )
             since = then
             yield place[0], place[1]

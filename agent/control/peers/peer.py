@@ -6,7 +6,7 @@ from math import inf
 from typing import Final
 
 from agent.common.time import NS_PER_S
-from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief
+from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief, own_doubt
 from agent.control.peers.clock_offset import ClockOffset
 from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS, Lateness
 from agent.messages.types import HandState
@@ -29,6 +29,8 @@ class Peer:
         here: likewise, but True again only when it has been heard again.
         trust: 0..1, how far an edge to it is trusted.
         mark: version and tag of the mission that it has acknowledged.
+        rolls_on: whether its body goes on as it went when nothing commands it
+            (`agent.fleet.plants.Kind.rolls_on_s`).
         deaf: whether it says that it does not hear this robot.
         unheard: how many robots it says that it does not hear.
         knows_ns: of when (own clock) what it knows of this robot is, by what it said last while it did not
@@ -56,12 +58,12 @@ class Peer:
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
         "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
         "late_max_ns", "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns",
-        "off_m", "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns",
-        "stood_until_ns", "time_ns", "token", "trust", "unheard",
+        "off_m", "other_version", "received", "robot", "rolls_on", "sequence", "slowly",
+        "slowly_until_ns", "stood_until_ns", "time_ns", "token", "trust", "unheard",
     )  # fmt: skip
 
-    def __init__(self, robot: int, period_ns: int, next_ns: int) -> None:
-        self.robot, self.name = robot, f"robot {robot}"
+    def __init__(self, robot: int, period_ns: int, next_ns: int, *, rolls_on: bool = False) -> None:
+        self.robot, self.name, self.rolls_on = robot, f"robot {robot}", rolls_on
         self.next_ns, self.listened = next_ns, False
         self.message: HandState | None = None
         self.early: HandState | None = None
@@ -133,6 +135,9 @@ class Peer:
 
     def doubt(self, now_ns: int) -> float:
         """Its position uncertainty, m: as it says itself, and by the age of that."""
-        said = self.off_m if self.message is None else self.off_m + min(DOUBT_MAX, self.message.doubt)
+        message = self.message
+        said = self.off_m
+        if message is not None:
+            said += own_doubt(message.doubt, rolls=self.rolls_on and not message.following)
         age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
         return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said

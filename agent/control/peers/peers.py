@@ -9,7 +9,7 @@ in that clock: the own one plus its offset, as far as that is proven (`agent.con
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from math import inf
 from typing import Final
 
@@ -29,9 +29,10 @@ from agent.control.peers.lateness import (
 )
 from agent.control.peers.peer import NEVER, Peer
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
+from agent.control.peers.rolling import Rolls
 from agent.control.peers.silent_rows import NEVER_CAME_NS, SilentRows
 from agent.control.peers.whereabouts import Whereabouts
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, Beacon, HandState, Removed, Silent
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, Beacon, HandState, Removed, Rolling, Silent
 
 TRUST_LOST_S: Final = 0.5
 """Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
@@ -50,7 +51,9 @@ class Peers:
         decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
         predict: False takes every message as it came, whatever its age.
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
+        speeding: how fast they come to that from far, 1/s, (N2).
         starts: where the hands of all others are until they are heard, m, W.
+        rolls_on: the robots whose bodies go on as they went when nothing commands them.
         beacon_ns: time between two beacons of one robot, that has something to tell.
         beacon_max_ns: longest time between two.
         horizon_s: a robot that hears nobody for so long stands.
@@ -79,7 +82,9 @@ class Peers:
         decay: float = 0.0,
         predict: bool = True,
         most: float | None = None,
+        speeding: float = 0.0,
         starts: Mapping[int, Vector] | None = None,
+        rolls_on: Mapping[int, Rolls] | None = None,
         horizon_s: float = 0.0,
         beacon_ns: int = NS_PER_S // 5,
         beacon_max_ns: int = 0,
@@ -96,11 +101,12 @@ class Peers:
         self._beacon_ns = beacon_ns
         self._rest_ns = max(0, beacon_max_ns - beacon_ns)
         self.predicts: Final = predict
-        self.forecast: Final = Forecast(c1, c2, motion, decay, most)
+        self.forecast: Final = Forecast(c1, c2, motion, decay, most, speeding, rolls_on)
         self._horizon_s, self._bound_m = horizon_s, bound_m
         self._began_ns = NEVER
         starts = starts or {}
-        self._known = {robot: Peer(robot, period_ns, beacon_ns) for robot in starts}
+        self._rolls_on = frozenset(rolls_on or ())
+        self._known = {robot: self._peer(robot) for robot in starts}
         self.whereabouts: Final = Whereabouts(self.forecast, starts, horizon_s)
         self.rows: Final = SilentRows(
             self._known, self.whereabouts, self.forecast, starts, horizon_s, is_large=self._rest_ns > 0
@@ -115,8 +121,11 @@ class Peers:
         """What is known of a robot, though it be nothing."""
         peer = self._known.get(robot)
         if peer is None:
-            peer = self._known[robot] = Peer(robot, self._period_ns, self._beacon_ns)
+            peer = self._known[robot] = self._peer(robot)
         return peer
+
+    def _peer(self, robot: int) -> Peer:
+        return Peer(robot, self._period_ns, self._beacon_ns, rolls_on=robot in self._rolls_on)
 
     def is_seldom(self, peer: Peer) -> bool:
         """Whether the next beacon of a robot may be further away than that of one with something to tell."""
@@ -246,6 +255,7 @@ class Peers:
                 peer.degree,
                 (said.x, said.y, said.vx, said.vy),
                 said.doubt,
+                beacon.obeys(said.robot),
             )
             peer.far_until_ns = 0
             age_ns = beacon.time_ns - said.time_ns
@@ -257,6 +267,21 @@ class Peers:
     def silent(self, now_ns: int) -> tuple[Silent, ...]:
         """What a beacon tells of robots that are not heard."""
         return self.rows.at(now_ns, was_there=self.was_there, missed_ns=self.missed_ns)
+
+    def rolls(self, peer: Peer, now_ns: int) -> bool:
+        """Whether the body of a robot that is not heard may roll on, as nothing commands it."""
+        message = peer.message
+        if not peer.rolls_on or message is None or peer.is_gone or peer.is_heard(now_ns):
+            return False
+        age_s = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
+        return self.forecast.rolling(message, age_s) is not None
+
+    def rolling(self, silent: Iterable[Silent]) -> Iterator[Rolling]:
+        """How the bodies of these go on, as far as it is known."""
+        for said in silent:
+            message = self.get(said.robot).message
+            if message is not None and message.obeys:
+                yield Rolling(said.robot, *message.obeys[0])
 
     def given_up(self, now_ns: int) -> tuple[int, ...]:
         """Robots from which nothing has come, now or since the start, for so long that they are given up."""
@@ -310,7 +335,14 @@ class Peers:
         if self._rest_ns and before is not None and peer.listened and since_ns <= OUTAGE_NS:
             place = self._moving(before, beacon, peer.hand_ns)
         peer.message = HandState.placed(
-            beacon.robot, beacon.sequence, time_ns, beacon.following, peer.degree, place, beacon.doubt
+            beacon.robot,
+            beacon.sequence,
+            time_ns,
+            beacon.following,
+            peer.degree,
+            place,
+            beacon.doubt,
+            beacon.obeys(beacon.robot),
         )
         if peer.hand_next_ns and before is not None and since_ns <= peer.hand_next_ns:
             peer.message = self.forecast.forces_of(before, peer.message)

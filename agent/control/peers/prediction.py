@@ -11,7 +11,7 @@ from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN, Vector
-from agent.control.law import acting_error
+from agent.control.law import acting_error, firmness
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
 
@@ -90,6 +90,7 @@ def following(
     c2: float,
     decay: float,
     most: float | None,
+    speeding: float = 0.0,
 ) -> Prediction:
     """A robot that follows the law, `age` seconds after its message.
 
@@ -100,6 +101,7 @@ def following(
         c1, c2: its navigation gains (21).
         decay: of its constraint force, 1/s.
         most: speed limit (m/s) by which it makes for its place (N1), None without one.
+        speeding: how fast it comes to that from far, 1/s, (N2).
     """
     fx, fy, gx, gy = message.constraint_x, message.constraint_y, message.correction_x, message.correction_y
     a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
@@ -109,6 +111,8 @@ def following(
     if most is not None:
         acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
         if acting != error:
+            firm = firmness(error, acting, (vx1, vy1), c1, c2, most, speeding)
+            c1, c2 = firm * c1, firm * c2
             return _approaching(message, then, error, (edot_x, edot_y), age, c1, c2, decay, acting)
     force_x, force_y = fx + gx, fy + gy
     new_x, new_y = a11 * ex + a12 * edot_x + b1 * force_x, a11 * ey + a12 * edot_y + b1 * force_y
@@ -125,9 +129,16 @@ def following(
 
 
 def unforced(
-    place: Place, then: Sample, since: Sample, age: float, c1: float, c2: float, most: float | None
+    place: Place,
+    then: Sample,
+    since: Sample,
+    age: float,
+    c1: float,
+    c2: float,
+    most: float | None,
+    speeding: float = 0.0,
 ) -> Place:
-    """Where a robot is on which no forces act but those of navigation, and how fast, by (P1) and (N1): to the
+    """Where a robot is on which no forces act but those of navigation, and how fast, by (P1) and (N2): to the
     bit what `following` says of it, in half of the time.
 
     Args:
@@ -140,6 +151,8 @@ def unforced(
     if most is not None:
         acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
         if acting != error:
+            firm = firmness(error, acting, (vx1, vy1), c1, c2, most, speeding)
+            c1, c2 = firm * c1, firm * c2
             left, rise = _fading(c2, age)
             aim_x, aim_y = -c1 * acting[0] / c2, -c1 * acting[1] / c2
             return (
@@ -198,7 +211,8 @@ def _approaching(
 ) -> Prediction:
     """As `following`, of one that is too far from its place for (21): its pull c1 `acting` is constant (N1).
 
-    edot' = -c1 acting - c2 edot + F_c exp(-decay t), exactly; the pull is that at the start.
+    edot' = -c1 acting - c2 edot + F_c exp(-decay t), exactly; the pull is that at the start, and so is how
+    firm it is (N2), which is in the gains.
     """
     if (
         abs(c2 - decay) < 1e-5 * c2

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from agent.messages.types import SEVERITIES
+
 # Flight modes: HEARTBEAT.custom_mode, SET_MODE, MAV_CMD_DO_SET_MODE.
 MODE_MANUAL: Final = 0
 MODE_ACRO: Final = 1
@@ -141,6 +143,7 @@ MESSAGE_GLOBAL_POSITION_INT: Final = 33
 MESSAGE_GPS_GLOBAL_ORIGIN: Final = 49
 MESSAGE_BATTERY_STATUS: Final = 147
 MESSAGE_AUTOPILOT_VERSION: Final = 148
+MESSAGE_FENCE_STATUS: Final = 162
 MESSAGE_EKF_STATUS_REPORT: Final = 193
 MESSAGE_HOME_POSITION: Final = 242
 
@@ -185,6 +188,10 @@ EKF_UNINITIALIZED: Final = 1024
 EKF_GPS_GLITCHING: Final = 1 << 15
 EKF_NEEDED: Final = EKF_ATTITUDE | EKF_VELOCITY_HORIZ | EKF_POS_HORIZ_REL | EKF_POS_HORIZ_ABS
 
+MITIGATE_NONE: Final = 1
+MITIGATE_SPEED: Final = 2
+"""FENCE_STATUS.breach_mitigation (FENCE_MITIGATE): whether the vehicle holds itself back before its fence."""
+
 # SYS_STATUS sensors (MAV_SYS_STATUS_SENSOR).
 SENSOR_GPS: Final = 0x20
 SENSOR_AHRS: Final = 0x200000
@@ -208,13 +215,10 @@ GPS_FIX_NAMES: Final = {
     GPS_RTK_FIXED: "RTK fixed",
 }
 
-# MAV_SEVERITY of STATUSTEXT.
-SEVERITY_NAMES: Final = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-
 
 def severity_name(number: int) -> str:
-    """Name of a STATUSTEXT's severity."""
-    return SEVERITY_NAMES[number] if 0 <= number < len(SEVERITY_NAMES) else f"severity {number}"
+    """Name of a STATUSTEXT's severity, MAV_SEVERITY; of one that is none, the least."""
+    return SEVERITIES[number] if 0 <= number < len(SEVERITIES) else SEVERITIES[-1]
 
 
 # MAV_PARAM_TYPE of PARAM_VALUE.
@@ -232,10 +236,9 @@ FS_EKF_THRESH: Final = "FS_EKF_THRESH"
 FS_CRASH_CHECK: Final = "FS_CRASH_CHECK"
 SYSTEM_ID: Final = ("MAV_SYSID", "SYSID_THISMAV")
 GROUND_STATION_ID: Final = ("MAV_GCS_SYSID", "SYSID_MYGCS")
-SYSID_ENFORCE: Final = "SYSID_ENFORCE"
-MAV_OPTIONS: Final = "MAV_OPTIONS"
-"""Newer firmware has it instead of SYSID_ENFORCE."""
+ENFORCE: Final = ("MAV_OPTIONS", "SYSID_ENFORCE")
 OPTION_ENFORCE: Final = 1
+"""Bit of MAV_OPTIONS, and the value of SYSID_ENFORCE."""
 WP_SPEED: Final = "WP_SPEED"
 ATC_ACCEL_MAX: Final = "ATC_ACCEL_MAX"
 ATC_STR_RAT_MAX: Final = "ATC_STR_RAT_MAX"
@@ -244,6 +247,11 @@ ARMING_CHECK: Final = ("ARMING_SKIPCHK", "ARMING_CHECK")
 BATT_FS_LOW_ACT: Final = "BATT_FS_LOW_ACT"
 BATT_FS_CRT_ACT: Final = "BATT_FS_CRT_ACT"
 BATT_LOW_VOLT: Final = "BATT_LOW_VOLT"
+BATT_MONITOR: Final = "BATT_MONITOR"
+FENCE_ENABLE: Final = "FENCE_ENABLE"
+AVOID_ENABLE: Final = "AVOID_ENABLE"
+AVOID_FENCE: Final = 1
+"""Bit of AVOID_ENABLE: it stops before its fence."""
 
 SCHED_LOOP_RATE: Final = "SCHED_LOOP_RATE"
 LOOP_RATE_HZ: Final = 50

@@ -17,6 +17,13 @@ from typing import Final, NamedTuple
 
 from agent.supervision.stop_latch import AWAITED
 
+UNHEARD: Final = "nothing was heard of it"
+"""How it is said of a vehicle that its operator may have had."""
+REBOOTED: Final = "it has rebooted"
+"""Another mode of such a vehicle is no word of its operator's."""
+OWN_FAILSAFE: Final = "its own failsafe has it"
+"""How it is said of a vehicle that was not taken by its operator."""
+
 
 class Holder(Enum):
     """Who has the vehicle. The values are for logs."""
@@ -36,6 +43,10 @@ class Situation(NamedTuple):
 
     vehicle: its link, what kind of vehicle it is, who else commands it.
     operator: its mode and arming: "" means GUIDED and armed, or that nothing is heard of it.
+    heard: whether there are heartbeats of it, whatever else is wrong with it.
+    lapse: why what is heard of it now does not tell what was before, at the tick when that is known: its
+        operator may have had it and given it back meanwhile, or it has rebooted; "" as a rule.
+    failsafe: what the vehicle says where a failsafe of its own did that, and not its operator.
     refusal: what makes the bridge let go of a vehicle that is its own: it does not follow its commands.
     cleared: the fleet has had clearance to drive since the bridge started.
     """
@@ -44,6 +55,9 @@ class Situation(NamedTuple):
     operator: str
     refusal: str
     cleared: bool
+    failsafe: str = ""
+    lapse: str = ""
+    heard: bool = False
 
 
 class Transition(NamedTuple):
@@ -59,6 +73,7 @@ _FREE: Final = frozenset({Holder.NOBODY, Holder.OPERATOR, Holder.BRIDGE})
 
 TRANSITIONS: Final[tuple[Transition, ...]] = (
     # First, so that a vehicle that was taken while its estimate was bad does not drive off when that is good.
+    Transition("lapsed", _FREE, Holder.RELEASED, lambda s: bool(s.lapse) and s.cleared),
     Transition("taken", _FREE, Holder.RELEASED, lambda s: bool(s.operator) and s.cleared),
     # A released vehicle stays released whatever happens to its link: the row for a lost one spares it.
     Transition("lost", _FREE, Holder.NOBODY, lambda s: bool(s.vehicle)),
@@ -86,12 +101,22 @@ class Authority:
         self.why = "waiting for the vehicle"
         self._cleared = False
         self._taken = ""
+        self._was_lost = self._rebooted = False
         self._settled: Holder | None = None  # whom the last situation left as the holder
         self._situation = Situation(self.why, "", "", cleared=False)
 
-    def step(self, vehicle: str, operator: str, refusal: str = "") -> Transition | None:
+    def step(
+        self,
+        vehicle: str,
+        operator: str,
+        refusal: str = "",
+        failsafe: str = "",
+        lapse: str = "",
+        *,
+        heard: bool = False,
+    ) -> Transition | None:
         """One tick: see `Situation`. Returns the row that changed the holder, None when none did."""
-        situation = Situation(vehicle, operator, refusal, self._cleared)
+        situation = Situation(vehicle, operator, refusal, self._cleared, failsafe, lapse, heard)
         if situation == self._situation and self.holder is self._settled:
             return None  # what did not change the holder then does not now
         self._situation = situation
@@ -100,7 +125,12 @@ class Authority:
         if row is not None:
             self.holder = row.target
         if self.holder is Holder.RELEASED and before is not Holder.RELEASED:
-            self._taken = refusal or _given_back(operator)
+            self._taken = refusal or lapse or _given_back(operator)
+            self._was_lost, self._rebooted = before is Holder.NOBODY, lapse == REBOOTED
+        elif self._was_lost and lapse == REBOOTED:  # which is known some time after its first heartbeat
+            self._rebooted = True
+        elif not (vehicle or operator):
+            self._rebooted = False  # whoever takes it from now on is its operator
         self.why = self._reason()
         self._settled = self.holder if self.holder is before else None
         return row if self.holder is not before else None
@@ -112,6 +142,10 @@ class Authority:
         if situation.vehicle:
             return situation.vehicle
         if self.holder is Holder.RELEASED:
+            if situation.operator and situation.failsafe:
+                return f"{OWN_FAILSAFE}: {situation.operator} ({situation.failsafe})"
+            if situation.operator and self._rebooted:
+                return f"{REBOOTED}: {situation.operator}"
             if situation.operator:
                 return f"its operator has it: {situation.operator}"
             return f"{self._taken}: {AWAITED}"
@@ -128,10 +162,11 @@ class Authority:
         Returns False when this vehicle cannot drive: its operator has not given it back.
         """
         self._cleared = True
-        given_back = not (self._situation.vehicle or self._situation.operator)
+        situation = self._situation
+        given_back = not situation.operator and (situation.heard or not situation.vehicle)
         if self.holder is Holder.RELEASED:
             if given_back:
                 self.holder = Holder.NOBODY  # the next step finds who has it
-        elif self._situation.operator:
-            self._taken, self.holder = _given_back(self._situation.operator), Holder.RELEASED
+        elif situation.operator:
+            self._taken, self.holder = _given_back(situation.operator), Holder.RELEASED
         return given_back

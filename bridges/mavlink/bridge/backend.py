@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from math import radians
+from collections import deque
+from collections.abc import Sequence
+from math import hypot, radians
 from typing import Final
 
 from agent.common.time import NS_PER_S
@@ -12,21 +14,26 @@ from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.runtime.loop import Log
 from agent.supervision.state_machine import at_rest
+from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits
 from bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld
-from bridges.mavlink.bridge import preflight_checks
-from bridges.mavlink.bridge.authority import Authority, Holder
+from bridges.mavlink.bridge import link_checks, navigation_checks, preflight_checks
+from bridges.mavlink.bridge.authority import REBOOTED, UNHEARD, Authority, Holder
 from bridges.mavlink.bridge.estimate import Estimate
+from bridges.mavlink.bridge.failsafe import BREACHED, OwnFailsafe
 from bridges.mavlink.bridge.setpoint import Bounds, MotionCheck, Setpoint
 from bridges.mavlink.bridge.takeover import Takeover
+from bridges.mavlink.session.parameters import AUDITED
 from bridges.mavlink.session.session import Session
-from bridges.mavlink.session.settings import SessionSettings
+from bridges.mavlink.session.settings import session_settings
 from bridges.mavlink.session.signing import Signing
 from bridges.mavlink.transport.transport import Transport
-from plant.backend import WAITING, Check, Command, PlantBackend, Reading
+from plant.backend import WAITING, Check, Command, PlantBackend, Reading, Said
 
 CHECKS_PERIOD_NS: Final = NS_PER_S // 2
+CHECKS_DRIVING_NS: Final = 2 * NS_PER_S
+"""All is looked at so often: before a drive, and in one, where only the battery is shown."""
 COMMAND_PERIOD_NS: Final = NS_PER_S // 50 - NS_PER_S // 1000
 """Setpoints go out at every tick, but no faster than 50 Hz: the vehicle's own loop is not faster."""
 BRAKE_AT_REST_NS: Final = NS_PER_S
@@ -39,8 +46,17 @@ LISTEN_NS: Final = 2 * NS_PER_S
 """Another bridge sends its heartbeat once in half of this."""
 JUDGED_NS: Final = NS_PER_S // 5
 """What was found of the vehicle's reports holds until it sends others, but no longer: they age, too."""
+DOES_NOT_FOLLOW: Final = "does not follow its commands"
+"""How `MotionCheck` begins."""
+FENCED: Final = "stands before its own fence (AVOID_ENABLE)"
+JUMP_M_MAX: Final = 5.0
+"""A position that comes back further from the last good one than it can have driven, and so much more, is not
+believed before somebody has looked: preflight warns of a start as far off."""
+SAID_MAX: Final = 32
+"""So many of its texts wait for a tick; of more the newest are kept."""
 DISARMED: Final = "disarmed"
-NO_MISSION: Final = "its bridge has heard of no mission yet: waiting for one"
+NOT_HEARD_YET: Final = f"{UNHEARD} when the fleet was told to drive, and its operator may have had it"
+BEGUN_LATE: Final = f"its bridge has started in mid-drive, and its operator may have had it: {AWAITED}"
 PREARM: Final = ("PreArm: ", "Arm: ")
 _NUMBER: Final = re.compile(r"[0-9.]+")
 _NOWHERE: Final = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -53,18 +69,8 @@ def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Se
         token: any number that other bridges are not likely to have (`SessionSettings`).
     """
     section = fleet.robot(robot).section(MavlinkSection) or MavlinkSection()
-    return Session(
-        SessionSettings(
-            system=section.system,
-            own_system=section.own_system,
-            own_component=section.own_component,
-            state_rate_hz=section.state_rate_hz,
-            set_origin=section.set_origin,
-            datum=frames.datum_of(fleet),
-            signing=signing,
-            token=token,
-        )
-    )
+    datum = frames.datum_of(fleet)
+    return Session(session_settings(section, token, signing=signing, datum=datum, parameters=AUDITED))
 
 
 def _operators(said: tuple[int | None, bool]) -> str:
@@ -106,7 +112,15 @@ class MavlinkPlant(PlantBackend):
         self._limits_read = -1
         self._transport_epoch, self._session_epoch = transport.epoch, link.epoch
         self._pose = _NOWHERE
-        self._known = self._located = False
+        self._known = self._located = self._placed = False
+        self._placed_ns = 0
+        self._jumped = ""  # how far its position was off when it came back, until the fleet is told to go on
+        self._resume_after_ns = round(section.resume_after_s * NS_PER_S)
+        self._heartbeat_ns: int | None = None
+        self._reboots = 0
+        self._failsafe: Final = OwnFailsafe()
+        self._breached = False
+        self._texts: deque[Said] = deque(maxlen=SAID_MAX)
         self._listening_since_ns: int | None = None
         self._now_ns: int | None = None
         self._driving = False
@@ -114,7 +128,7 @@ class MavlinkPlant(PlantBackend):
         self._resting_since_ns: int | None = None
         self._commanded_ns: int | None = None
         self._refusal = ""
-        self._without_mission = False
+        self._begun_late = False
         self._takeover = Takeover(link, log, wanted=section.arm and not look)
         self._interlude = ""  # what the operator did since the last tick, though it may be undone by now
         self._prearm = ""
@@ -132,14 +146,20 @@ class MavlinkPlant(PlantBackend):
         dt = 0.0 if self._now_ns is None else max(0.0, (now_ns - self._now_ns) / NS_PER_S)
         self._now_ns = now_ns
         self._listen()
+        lapse = self._lapse()
         trouble = self._locate(now_ns)
-        operator = self._operator if self._link.connected(now_ns) else ""
-        self.authority.step(trouble, operator or self._interlude, self._refusal)
+        heard = self._link.connected(now_ns)
+        operator = self._operator if heard else ""
+        operator = operator or self._interlude
+        self._failsafe.step(now_ns, operator)
+        self.authority.step(trouble, operator, self._refusal, self._failsafe.why, lapse, heard=heard)
+        if self.authority.holder is Holder.RELEASED or not self.authority.cleared:
+            self._jumped = ""  # whoever has it knows where it is
         self._log_holder()
         self._takeover.step(now_ns, self.authority.holder, trouble)
-        # Only a mission says whose wrench it is. Until one has come, the note tells the agent.
-        self._without_mission = not self.authority.cleared and (self._without_mission or command is not None)
-        if self._without_mission:
+        # A wrench of a drive that nobody has begun since this process did.
+        self._begun_late = not self.authority.cleared and (self._begun_late or command is not None)
+        if self._begun_late:
             command = None
         out = self._drive(now_ns, dt, command) + self._link.tick(now_ns)
         if out:
@@ -176,17 +196,45 @@ class MavlinkPlant(PlantBackend):
                 x, y = self._to_world(position.north, position.east)
                 speed = frames.forward_speed(self._yaw, position.v_north, position.v_east)
                 self._estimate.position(position.valid_ns, x, y, speed)
+        if link.fence_breached and not self._breached:
+            self._failsafe.hear(self._now_ns or 0, BREACHED)
+        self._breached = link.fence_breached
         for text in link.take_texts():
-            self._log(f"the vehicle says ({constants.severity_name(text.severity)}): {text.text}")
+            said = Said(constants.severity_name(text.severity), text.text)
+            self._texts.append(said)
+            self._failsafe.hear(self._now_ns or 0, said.text)
+            self._log(f"the vehicle says ({said.severity}): {said.text}")
             for mark in PREARM:
                 if text.text.startswith(mark):
                     self._prearm = text.text.removeprefix(mark)
 
+    def _lapse(self) -> str:
+        """What was between vehicle and bridge, at the tick when that is known; "" as a rule.
+
+        It is heard again after so long that its operator may have had it, also where this process has stood:
+        of what came meanwhile, no buffer keeps more than the first seconds. Or it has rebooted.
+        """
+        reboots, heard_ns, before_ns = self._link.clock.reboots, self._link.heartbeat_ns, self._heartbeat_ns
+        if reboots != self._reboots:
+            self._reboots = reboots
+            return REBOOTED
+        if heard_ns is None or heard_ns == before_ns:
+            return ""
+        self._heartbeat_ns = heard_ns
+        if before_ns is None:  # whoever had the fleet drive before did not know of it
+            return NOT_HEARD_YET if self.authority.cleared else ""
+        if heard_ns - before_ns <= self._resume_after_ns:
+            return ""
+        silent_s = (heard_ns - before_ns) / NS_PER_S
+        return f"{UNHEARD} for {silent_s:.1f} s, and its operator may have had it"
+
     def _locate(self, now_ns: int) -> str:
         """Finds the pose. Says why the vehicle is not there or cannot be relied on; "" when all is well."""
         found = self._estimate.pose_at(now_ns)
+        self._placed = found.healthy
         if found.healthy:
-            self._pose, self._known = found.pose, True
+            self._jumped = self._jumped or self._jump_to(found.pose, now_ns)
+            self._pose, self._known, self._placed_ns = found.pose, True, now_ns
         link = self._link
         absence = self._trouble or link.absence(now_ns)
         if absence:
@@ -198,11 +246,20 @@ class MavlinkPlant(PlantBackend):
         return (
             absence
             or link.problem
+            or link_checks.silence(link, now_ns)
             or self._other_bridge(now_ns)
             or self._unfit
             or self._unlocated
             or found.note
+            or self._jumped
         )
+
+    def _jump_to(self, pose: Pose, now_ns: int) -> str:
+        """How far it is from the last good position, where it cannot have driven there; else ""."""
+        off = hypot(pose.x - self._pose.x, pose.y - self._pose.y)
+        drove = self._section.max_speed_mps * (now_ns - self._placed_ns) / NS_PER_S
+        far = self._known and off > drove + JUMP_M_MAX
+        return f"its position jumped by {off:.2f} m: {AWAITED}" if far else ""
 
     def _judge(self, now_ns: int) -> None:
         """What GPS, EKF and origin say against driving; they come once or twice a second, ticks 25 times."""
@@ -210,10 +267,9 @@ class MavlinkPlant(PlantBackend):
         reports = link.ekf, link.gps, link.origin, link.parameter_changes
         if reports != self._judged or now_ns >= self._judged_until_ns:
             self._judged, self._judged_until_ns = reports, now_ns + JUDGED_NS
-            self._unfit = preflight_checks.gps_trouble(link, now_ns)
-            self._unlocated = preflight_checks.ekf_trouble(link, now_ns) or preflight_checks.origin_trouble(
-                link, self._datum
-            )
+            self._unfit = navigation_checks.gps_trouble(link, now_ns)
+            ekf = navigation_checks.ekf_trouble(link, now_ns)
+            self._unlocated = ekf or navigation_checks.origin_trouble(link, self._datum)
 
     @property
     def _trouble(self) -> str:
@@ -269,6 +325,8 @@ class MavlinkPlant(PlantBackend):
         predicted = self._estimate.predicted
         watched = self._driving and obeys
         self._refusal = self._motion.step(min(dt, WATCHED_S), watched, predicted, residual)
+        if " m/s" in self._refusal and self._link.held_back(now_ns):
+            self._refusal = self._refusal.replace(DOES_NOT_FOLLOW, FENCED)
         self._estimate.command(now_ns, *asked, self._setpoint.vehicle)
         if not self._driving:
             return b""
@@ -321,40 +379,51 @@ class MavlinkPlant(PlantBackend):
         pose = self._pose
         if self._driving and self.authority.holder is Holder.BRIDGE:
             pose = Pose(pose.x, pose.y, pose.heading, self._setpoint.speed, self._setpoint.yaw_rate)
-        obeying = self.authority.holder is Holder.BRIDGE and not self._without_mission
+        obeying = self.authority.holder is Holder.BRIDGE and not self._begun_late
         if trouble or not self._known:
             return Reading(now_ns, pose, 0.0, 0.0, False, trouble or "no position yet", obeying)
-        note = self.authority.why or (NO_MISSION if self._without_mission else "")
+        note = self.authority.why or (BEGUN_LATE if self._begun_late else "")
         return Reading(now_ns, pose, self._setpoint.force, self._setpoint.torque, True, note, obeying)
 
     # ------------------------------------------------------------------ before and after
 
     def clear_to_drive(self) -> None:
         """See `PlantBackend.clear_to_drive`."""
-        was = self.authority.holder
+        was, self._jumped = self.authority.holder, ""
         able = self.authority.clear_to_drive()
         if not able and self.authority.holder is Holder.RELEASED:
             self._log(f"told to drive, but cannot: {self.authority.why}")
         elif able and was is Holder.RELEASED:
             self._log("told to resume")
 
+    def status_texts(self) -> Sequence[Said]:
+        """See `PlantBackend.status_texts`."""
+        if not self._texts:
+            return ()
+        said = tuple(self._texts)
+        self._texts.clear()
+        return said
+
     def checks(self, now_ns: int) -> tuple[Check, ...]:
         """See `PlantBackend.checks`."""
         if now_ns >= self._checks_due_ns:
-            self._checks_due_ns = now_ns + CHECKS_PERIOD_NS
+            self._checks_due_ns = now_ns + (CHECKS_DRIVING_NS if self._driving else CHECKS_PERIOD_NS)
             link = self._link
             trip_ns = link.clock.round_trip_ns
+            since_ns = now_ns if link.heard_since_ns is None else link.heard_since_ns
             found = preflight_checks.BridgeState(
                 now_ns,
                 self._trouble,
                 self._transport.note,
+                (now_ns - since_ns) / NS_PER_S,
                 None if trip_ns is None else trip_ns / NS_PER_S,
                 link.clock.note,
-                self._pose if self._known else None,
+                self._pose if self._placed else None,
                 self._start,
                 self._prearm,
             )
-            self._checks = preflight_checks.checks(link, found, self._section, self._datum)
+            look = preflight_checks.Look(link, found, self._section, self._datum)
+            self._checks = preflight_checks.checks(look)
         return self._checks
 
     def close(self) -> None:

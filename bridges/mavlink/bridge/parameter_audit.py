@@ -2,31 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import degrees
-from typing import Final
+from typing import Final, NamedTuple
 
 from agent.fleet.mavlink_section import MavlinkSection
-from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot import constants, steering
 from bridges.mavlink.session.session import Session
 from plant.backend import WAITING, Check
 
 
-def parameters(link: Session, section: MavlinkSection) -> Iterator[Check]:
+def steers(link: Session) -> Iterator[Check]:
+    """Whether it can turn at a standstill."""
+    if not link.parameters_done:
+        return
+    values = link.parameters
+    advice = "the law asks for turns at a standstill: it needs skid steering (73 and 74)"
+    if steering.turns_on_the_spot(values):
+        yield Check("steering", "ok", "turns on the spot")
+    elif trouble := steering.trouble(values):
+        yield Check("steering", "blocking", trouble, advice)
+    elif any(values.get(name) is None for name in (*steering.ALL, steering.FRAME_TYPE)):
+        text = "its outputs (SERVOn_FUNCTION) are not told"
+        yield Check("steering", "warning", text, "look at them with its ground station: it needs 73 and 74")
+    else:
+        yield Check("steering", "warning", "no output is throttle left, or none right", advice)
+
+
+def parameters(link: Session, section: MavlinkSection, now_ns: int) -> Iterator[Check]:
     """Failsafes that are off or risky, and limits that do not go with those of the fleet file."""
     if not link.parameters_done:
         yield Check("parameters", "blocking", f"{WAITING}its parameters")
         return
-    lines = [*_failsafes(link), *_limits(link, section), *_ids(link, section)]
+    lines = [*_failsafes(link), *_fence(link), *_limits(link, section), *_ids(link, section, now_ns)]
     read = sum(value is not None for value in link.parameters.values())
-    untold = [name for name in _FAILSAFES if link.parameters.get(name) is None]
+    looked_at = (*_FAILSAFES, constants.FENCE_ENABLE, constants.AVOID_ENABLE)
+    untold = [name for name in looked_at if name in link.parameters and link.parameters[name] is None]
     if not read:
         yield Check("parameters", "warning", "it tells none", "failsafes and limits could not be looked at")
     elif untold:
         text = f"{', '.join(untold)} not told"
-        yield Check("parameters", "warning", text, "look at these failsafes with its ground station")
-    elif not lines:
-        yield Check("parameters", "ok", f"{read} read, failsafes on")
+        yield Check("parameters", "warning", text, "look at these with its ground station")
+    else:
+        yield Check("parameters", "ok", f"{read} read" if lines else f"{read} read, failsafes on")
     yield from lines
 
 
@@ -57,6 +75,46 @@ _RISKY: Final = (
     (constants.BATT_FS_CRT_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
 )
 _FAILSAFES: Final = tuple(dict.fromkeys(name for name, *_ in _RISKY))
+RIGHT: Final[Mapping[str, float]] = {
+    constants.FS_ACTION: 2.0,
+    constants.FS_THR_ENABLE: 1.0,
+    constants.FS_EKF_ACTION: 1.0,
+    constants.FS_EKF_THRESH: 0.8,
+    constants.FS_CRASH_CHECK: 1.0,
+    constants.BATT_FS_LOW_ACT: 2.0,
+    constants.BATT_FS_CRT_ACT: 2.0,
+}
+"""Failsafes with one value that is right for every rover of a fleet. FS_GCS_ENABLE has none: it depends on
+whether a ground station is always there."""
+LOOKED_AT: Final = (*RIGHT, constants.BATT_MONITOR)
+"""What is read to know what to set."""
+
+
+class Change(NamedTuple):
+    """A parameter that is not as it should be: its value, the right one, and why."""
+
+    name: str
+    value: float
+    right: float
+    why: str
+
+
+def changes(values: Mapping[str, float | None]) -> list[Change]:
+    """What to set of these failsafes; nothing where the vehicle tells no value.
+
+    Args:
+        values: of `LOOKED_AT`, by name.
+    """
+    found = []
+    for name, risky, means, _ in _RISKY:
+        value = values.get(name)
+        if name not in RIGHT or value is None or value not in risky:
+            continue
+        # One that watches no battery has nothing to act on, and whether it should is its owner's affair.
+        if name == constants.BATT_FS_LOW_ACT and not values.get(constants.BATT_MONITOR):
+            continue
+        found.append(Change(name, value, RIGHT[name], means))
+    return found
 
 
 def _failsafes(link: Session) -> Iterator[Check]:
@@ -71,6 +129,14 @@ def _failsafes(link: Session) -> Iterator[Check]:
         )
 
 
+def _fence(link: Session) -> Iterator[Check]:
+    avoids = int(link.parameter(constants.AVOID_ENABLE) or 0.0)
+    if link.parameter(constants.FENCE_ENABLE) and avoids & constants.AVOID_FENCE:
+        text = f"{avoids}: before its own fence it stops and stays in GUIDED"
+        advice = "set 0, and FENCE_ACTION 2: then its fence puts it into HOLD; or keep the drive well inside"
+        yield Check(constants.AVOID_ENABLE, "warning", text, advice)
+
+
 def _limits(link: Session, section: MavlinkSection) -> Iterator[Check]:
     for name, unit, scale, ours, field in (
         (constants.WP_SPEED, "m/s", 1.0, section.max_speed_mps, "max_speed_mps"),
@@ -83,14 +149,34 @@ def _limits(link: Session, section: MavlinkSection) -> Iterator[Check]:
             yield Check(name, "warning", text, f"the vehicle's limit holds: lower {field}, or raise {name}")
 
 
-def _ids(link: Session, section: MavlinkSection) -> Iterator[Check]:
+def _name(link: Session, names: tuple[str, str]) -> str:
+    """Of a parameter with today's and an older name, that which this vehicle has."""
+    return next((name for name in names if link.parameters.get(name) is not None), names[-1])
+
+
+def _ids(link: Session, section: MavlinkSection, now_ns: int) -> Iterator[Check]:
     own = section.own_system or link.system
+    mine, enforce = _name(link, constants.GROUND_STATION_ID), _name(link, constants.ENFORCE)
     station = link.parameter(constants.GROUND_STATION_ID)
-    options = int(link.parameters.get(constants.MAV_OPTIONS) or 0.0)
-    enforced = link.parameters.get(constants.SYSID_ENFORCE) == 1.0 or options & constants.OPTION_ENFORCE
+    usual = constants.SYSTEM_GROUND_STATION
+    enforced = int(link.parameter(constants.ENFORCE) or 0.0) & constants.OPTION_ENFORCE
     if enforced and own not in (link.system, station):
-        text = f"it obeys its ground station {station or 255:g} only, and the bridge is system {own}"
-        yield Check(constants.SYSID_ENFORCE, "blocking", text, "leave own_system out")
+        text = (
+            f"it obeys its own system {link.system} and its ground station {station or usual:g} only, and "
+            f"the bridge is system {own}"
+        )
+        yield Check(enforce, "blocking", text, "leave own_system out")
+    set_it = f"set {mine} to the system id of its ground station, {usual} as a rule"
     if station is not None and own == station:
-        text = f"its ground station's id {station:g} is the bridge's own: its failsafe would watch the bridge"
-        yield Check("own_system", "warning", text, "leave own_system out")
+        text = (
+            f"{station:g} is the bridge's own system: the ground station failsafe would count its heartbeats"
+        )
+        if section.own_system not in (None, link.system):
+            set_it += ", or leave own_system out"
+        yield Check(mine, "warning", text, set_it)
+    heard = [system for system, _ in link.ground_stations(now_ns)]
+    watched = station if link.parameter(constants.FS_GCS_ENABLE) else None
+    if watched is not None and own != watched and heard and watched not in heard:
+        shown = " and ".join(map(str, heard))
+        text = f"{watched:g}: its failsafe does not watch the ground station that is here, system {shown}"
+        yield Check(mine, "warning", text, set_it)

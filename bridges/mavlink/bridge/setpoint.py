@@ -208,9 +208,10 @@ class MotionCheck:
         speed, yaw_rate = predicted
         note = ""
         if abs(residual.speed) > max(SPEED_DISAGREES, SHARE_DISAGREES * abs(speed)):
-            note = f"asked for {speed:.2f} m/s, moves at {speed + residual.speed:.2f} m/s"
+            note = f"asked for {speed:.2f} m/s, moves at {round(speed + residual.speed, 2) + 0.0:.2f} m/s"
         elif abs(residual.yaw_rate) > max(YAW_RATE_DISAGREES, SHARE_DISAGREES * abs(yaw_rate)):
-            note = f"asked for {yaw_rate:.2f} rad/s, turns at {yaw_rate + residual.yaw_rate:.2f} rad/s"
+            turns = round(yaw_rate + residual.yaw_rate, 2) + 0.0  # no -0.00
+            note = f"asked for {yaw_rate:.2f} rad/s, turns at {turns:.2f} rad/s"
         # Forgotten as slowly as it is found: a rover whose wheels grip now and then is still stuck.
         self._for_s = min(DISAGREES_S, self._for_s + dt) if note else max(0.0, self._for_s - dt)
         if note and self._for_s >= DISAGREES_S - 1e-9:

@@ -14,7 +14,7 @@ from agent.common.time import NS_PER_S, Clock
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from bridges.mavlink.session.session import Session
-from bridges.mavlink.session.settings import SessionSettings
+from bridges.mavlink.session.settings import SessionSettings, session_settings
 from bridges.mavlink.session.signing import Signing, SigningError, open_signing
 from bridges.mavlink.transport.transport import Transport, open_transport
 
@@ -40,33 +40,13 @@ class Outcome(NamedTuple):
     text: str
 
 
-def setup_settings(section: MavlinkSection, token: int) -> SessionSettings:
-    """Whom to speak to, and as whom: as its bridge does, but asking for as little as can be.
-
-    Args:
-        token: `SessionSettings.token`.
-
-    Raises:
-        ValueError: an identity that is another's.
-    """
-    return SessionSettings(
-        system=section.system,
-        own_system=section.own_system,
-        own_component=section.own_component,
-        state_rate_hz=section.state_rate_hz,
-        set_origin=False,
-        token=token,
-        parameters=(),
-    )
-
-
 class SigningSetup:
     """Gives the vehicle behind `transport` a key, unless it is armed, no rover, or has another key.
 
     It listens twice: as somebody without a key, who hears everything, and as somebody with it.
 
     Args:
-        settings: `setup_settings`.
+        settings: `bridges.mavlink.session.settings.session_settings`.
         signing: the key, and the timestamps of the vehicle's bridge.
 
     Attributes:
@@ -192,7 +172,7 @@ def open_setup(fleet: Fleet, robot: int, clock: Clock) -> SigningSetup:
     assert section is not None
     assert section.connection is not None
     assert section.signing_key is not None
-    settings = setup_settings(section, secrets.randbits(32))
+    settings = session_settings(section, secrets.randbits(32))
     transport = open_transport(section.connection, section.baud, clock.now_ns, section.system)
     try:
         signing = open_signing(fleet.fleet.name, robot, section.signing_key, clock.now_ns())

@@ -1,4 +1,6 @@
-"""A MAVLink 2 codec: pymavlink's parser and packer, skipping unwanted messages, strict about signatures."""
+"""A MAVLink 2 codec: pymavlink's parser and packer, skipping unwanted messages, strict about signatures.
+
+Whole unsigned frames are read the short way (`bridges.mavlink.session.whole_frames`)."""
 
 from __future__ import annotations
 
@@ -10,6 +12,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridges.mavlink.session.signing import STEPS_PER_S, Signing
+from bridges.mavlink.session.whole_frames import WholeFrames
 
 STREAMS_MAX: Final = 64
 NEW_STREAM_BEHIND: Final = 60 * STEPS_PER_S
@@ -34,6 +37,7 @@ class Codec(dialect.MAVLink):  # type: ignore[misc]  # pymavlink ships no types
         super().__init__(None)
         self.robust_parsing = True
         self._wanted = frozenset(wanted)
+        self._whole = WholeFrames(self._wanted)
         if signing is not None:
             self.signing.secret_key = signing.key
             self.signing.link_id = signing.link_id
@@ -44,7 +48,12 @@ class Codec(dialect.MAVLink):  # type: ignore[misc]  # pymavlink ships no types
 
     def parse(self, data: bytes) -> list[Any]:
         """The messages that `data` completes, bad ones as pymavlink's BAD_DATA."""
-        messages: list[Any] = self.parse_buffer(data) or []
+        messages: list[Any] = []
+        if self.signing.secret_key is None and self.buf_index >= len(self.buf):  # no half message waits
+            messages, taken = self._whole.take(data)
+            data = data[taken:]
+        if data:
+            messages += self.parse_buffer(data) or []
         if self.buf_index > _BUFFER_KEPT:  # pymavlink lets it grow until it happens to be empty
             del self.buf[: self.buf_index]
             self.buf_index = 0

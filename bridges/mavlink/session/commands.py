@@ -85,17 +85,18 @@ class Commands:
             self._outcomes[command] = Outcome("no answer")
         self._pending.clear()
 
-    def answered(self, arrival_ns: int, command: int, result: int) -> None:
-        """A COMMAND_ACK came; one that nobody waits for is ignored."""
+    def answered(self, arrival_ns: int, command: int, result: int) -> bool:
+        """A COMMAND_ACK came; one that nobody waits for is ignored, and False."""
         pending = self._pending.get(command)
         if pending is None or not pending.tries:
-            return
+            return False
         if result == constants.RESULT_IN_PROGRESS:
             self._pending[command] = pending._replace(due_ns=arrival_ns + 5 * ANSWER_TIMEOUT_NS)
-            return
+            return True
         del self._pending[command]
         state = "accepted" if result == constants.RESULT_ACCEPTED else "refused"
         self._outcomes[command] = Outcome(state, result)
+        return True
 
     def outcome(self, command: int) -> Outcome | None:
         """What became of the last such command, None when there was none."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from typing import Final
 
 from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot import constants, steering
 
 AUDITED: Final = (
     # First what limits the motion, which the bridge itself needs.
@@ -15,10 +15,10 @@ AUDITED: Final = (
     constants.ATC_ACCEL_MAX,
     constants.ATC_STR_RAT_MAX,
     constants.ATC_TURN_MAX_G,
-    *constants.SYSTEM_ID,
-    *constants.GROUND_STATION_ID,
-    constants.SYSID_ENFORCE,
-    constants.MAV_OPTIONS,
+    constants.GROUND_STATION_ID[0],
+    *steering.USUAL,
+    constants.GROUND_STATION_ID[1],
+    constants.FENCE_ENABLE,
     constants.SCHED_LOOP_RATE,
     constants.FS_ACTION,
     constants.FS_THR_ENABLE,
@@ -26,6 +26,7 @@ AUDITED: Final = (
     constants.FS_EKF_ACTION,
     constants.FS_EKF_THRESH,
     constants.FS_CRASH_CHECK,
+    *constants.ENFORCE,  # by now it is known which of the two names it has
     *constants.ARMING_CHECK,
     constants.BATT_FS_LOW_ACT,
     constants.BATT_FS_CRT_ACT,
@@ -33,12 +34,20 @@ AUDITED: Final = (
 )
 """Where firmware versions differ in a name, both: the one that answers counts."""
 RENAMED: Final = (
-    constants.SYSTEM_ID,
-    constants.GROUND_STATION_ID,
-    (constants.SYSID_ENFORCE, constants.MAV_OPTIONS),
-    constants.ARMING_CHECK,
+    tuple(zip(constants.GROUND_STATION_ID, constants.ENFORCE, strict=True)),
+    tuple((name,) for name in constants.ARMING_CHECK),
 )
-"""Of each a firmware has one name: when that has answered, nobody waits for the other."""
+"""Pairs of sets of names that were given up together: a firmware has one of the two, and when any of that has
+answered, nobody asks or waits for those of the other."""
+
+
+def further(values: Mapping[str, float | None]) -> tuple[str, ...]:
+    """What to read besides, by what was read: not every vehicle has to be asked for it over its link."""
+    fenced = values.get(constants.FENCE_ENABLE)
+    avoidance = (constants.AVOID_ENABLE,) if fenced else ()
+    return (*(name for name in avoidance if name not in values), *steering.to_read(values))
+
+
 IN_FLIGHT: Final = 4
 SPACING_NS: Final = NS_PER_S // 10
 ANSWER_TIMEOUT_NS: Final = 3 * NS_PER_S // 2
@@ -47,7 +56,10 @@ TRIES: Final = 6
 
 
 class Parameters:
-    """Asks for the parameters `names` and keeps their values.
+    """Asks for the parameters `names`, and those that are to be read `further`, and keeps their values.
+
+    Args:
+        further: from the values so far, the names to read besides, () when there are none.
 
     Attributes:
         values: by name; None for one that the vehicle does not have: it leaves such a request unanswered
@@ -55,8 +67,13 @@ class Parameters:
         changes: grows whenever a value may have changed.
     """
 
-    def __init__(self, names: Sequence[str] = AUDITED) -> None:
-        self._names = tuple(dict.fromkeys(names))
+    def __init__(
+        self,
+        names: Sequence[str] = AUDITED,
+        further: Callable[[Mapping[str, float | None]], Sequence[str]] = further,
+    ) -> None:
+        self._first = tuple(dict.fromkeys(names))
+        self._further = further
         self.values: dict[str, float | None] = {}
         self.changes = 0
         self.restart()
@@ -65,7 +82,8 @@ class Parameters:
         """Reads everything anew."""
         self.values.clear()
         self.changes += 1
-        self._tries = dict.fromkeys(self._names, 0)
+        self._names = dict.fromkeys(self._first)
+        self._tries = dict.fromkeys(self._first, 0)
         self._waiting: dict[str, int] = {}
         self._last_ns: int | None = None
 
@@ -113,8 +131,9 @@ class Parameters:
             return False
         self.values[name] = value
         self._settle(name)
-        for other in (n for names in RENAMED if name in names for n in names if n != name):
-            self.missing(other)
+        for one, other in RENAMED:
+            for gone in other if name in one else one if name in other else ():
+                self.missing(gone)
         return True
 
     def missing(self, name: str) -> None:
@@ -127,3 +146,6 @@ class Parameters:
         self.changes += 1
         self._tries.pop(name, None)
         self._waiting.pop(name, None)
+        more = [each for each in self._further(self.values) if each not in self._names]
+        self._names.update(dict.fromkeys(more))
+        self._tries.update(dict.fromkeys(more, 0))

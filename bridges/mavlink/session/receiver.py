@@ -46,6 +46,10 @@ class Receiver:
         clock: its boot clock against ours.
         ekf, gps, status: the last reports, None before the first.
         origin: of its EKF, None while unknown.
+        heard_since_ns: arrival of its first heartbeat since the (re)start. answered_ns: of the last message
+            from it that could only answer one of ours; None: none since then.
+        fence_breached: whether it is beyond its own fence, as it said last.
+        held_back_ns: when it last said that it holds itself back before its own fence, None: never.
         counts: what was refused or was odd, by kind.
     """
 
@@ -64,6 +68,7 @@ class Receiver:
             dialect.MAVLINK_MSG_ID_GPS_RAW_INT: self._on_gps,
             dialect.MAVLINK_MSG_ID_SYS_STATUS: self._on_status,
             dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._on_origin,
+            dialect.MAVLINK_MSG_ID_FENCE_STATUS: self._on_fence,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             dialect.MAVLINK_MSG_ID_PARAM_VALUE: self._on_parameter,
@@ -104,6 +109,10 @@ class Receiver:
         self.gps: Gps | None = None
         self.status: Status | None = None
         self.origin: Geodetic | None = None
+        self.heard_since_ns: int | None = None
+        self.answered_ns: int | None = None
+        self.held_back_ns: int | None = None
+        self.fence_breached = False
         self._parameters.restart()
         self._commands.restart()
         self._streams.restart()
@@ -185,6 +194,8 @@ class Receiver:
         self.type, self.autopilot = message.type, message.autopilot
         self.problem = _problem(message.type, message.autopilot)
         self.heartbeat_ns = arrival_ns
+        if self.heard_since_ns is None:
+            self.heard_since_ns = arrival_ns
         mode = message.custom_mode if message.base_mode & constants.FLAG_CUSTOM_MODE else None
         armed = bool(message.base_mode & constants.FLAG_ARMED)
         if mode != self.mode:
@@ -239,6 +250,7 @@ class Receiver:
             self.clock.exchange(message.ts1, message.tc1, arrival_ns)
             if self.clock.reboots != reboots:
                 self._rebooted()
+            self.answered_ns = arrival_ns
 
     def _on_ekf(self, arrival_ns: int, message: Any) -> None:
         self.ekf = reports.ekf(message, arrival_ns)
@@ -248,6 +260,11 @@ class Receiver:
 
     def _on_status(self, arrival_ns: int, message: Any) -> None:
         self.status = reports.status(message, arrival_ns)
+
+    def _on_fence(self, arrival_ns: int, message: Any) -> None:
+        if reports.held_back(message):
+            self.held_back_ns = arrival_ns
+        self.fence_breached = bool(message.breach_status)
 
     def _on_origin(self, _arrival_ns: int, message: Any) -> None:
         origin = reports.origin(message)
@@ -261,15 +278,17 @@ class Receiver:
 
     def _on_ack(self, arrival_ns: int, message: Any) -> None:
         system, component = self.own
-        if message.target_system in (0, system) and message.target_component in (0, component):
-            self._commands.answered(arrival_ns, message.command, message.result)
+        ours = message.target_system in (0, system) and message.target_component in (0, component)
+        if ours and self._commands.answered(arrival_ns, message.command, message.result):
+            self.answered_ns = arrival_ns
 
     def _on_parameter(self, _arrival_ns: int, message: Any) -> None:
         if not self._parameters.received(message.param_id, message.param_value):
             self.counts["not finite"] += 1
 
-    def _on_no_parameter(self, _arrival_ns: int, message: Any) -> None:
+    def _on_no_parameter(self, arrival_ns: int, message: Any) -> None:
         if (message.target_system, message.target_component) == self.own:
+            self.answered_ns = arrival_ns
             self._parameters.missing(message.param_id)
 
     def _on_version(self, _arrival_ns: int, message: Any) -> None:

@@ -141,6 +141,11 @@ def status(message: Any, arrival_ns: int) -> Status:
     )
 
 
+def held_back(message: Any) -> bool:
+    """Whether the vehicle slows itself down before its own fence, of FENCE_STATUS."""
+    return bool(message.breach_mitigation == constants.MITIGATE_SPEED)
+
+
 def origin(message: Any) -> Geodetic | None:
     """The EKF's origin; None for one that is no place on Earth, or the 0, 0 of one that is not set."""
     latitude, longitude = message.latitude / _E7, message.longitude / _E7

@@ -1,9 +1,9 @@
 """The MAVLink session with one rover, without clock, socket or thread: bytes in, bytes out.
 
-What a radio has to carry at 25 Hz of state and of setpoints (MAVLink 2, unsigned; a signature adds 13 bytes
-to each message): down 2.3 kB/s (ATTITUDE and LOCAL_POSITION_NED 40 bytes each, all the rest 0.3 kB/s), up
-1.7 kB/s (setpoint 65 bytes, heartbeat, TIMESYNC). That is 70 % of 57600 baud, where it fits as long as nobody
-else uses the link; at 12.5 Hz it is 40 %.
+What a link has to carry at 25 Hz of state and 20 setpoints a second (MAVLink 2, unsigned; a signature adds 13
+bytes to each message): down 2.1 kB/s (ATTITUDE and LOCAL_POSITION_NED 40 bytes each, all the rest 0.1 kB/s),
+up 1.4 kB/s (setpoint 65 bytes, heartbeat, TIMESYNC): of 57600 baud 36 and 25 %, which a cable carries at
+once.
 """
 
 from __future__ import annotations
@@ -23,11 +23,15 @@ from bridges.mavlink.session.receiver import Receiver
 from bridges.mavlink.session.reports import AttitudeSample, Battery, PositionSample, Text
 from bridges.mavlink.session.settings import SessionSettings as SessionSettings
 from bridges.mavlink.session.signing import KEY_BYTES
-from bridges.mavlink.session.streams import StreamRow
+from bridges.mavlink.session.streams import FENCE, StreamRow
 
 HEARTBEAT_PERIOD_NS: Final = NS_PER_S
 HEARTBEAT_TIMEOUT_NS: Final = 3 * NS_PER_S
 """A vehicle that has sent no heartbeat for this long (ArduPilot: 1 Hz at least) is not connected."""
+ANSWERED_NS: Final = 5 * NS_PER_S
+"""Of twenty questions in this time, a link that loses most of them both ways brings one answer back."""
+HELD_BACK_NS: Final = 4 * NS_PER_S
+"""It is said once a second, and holds for as long as it takes to see that the vehicle does not follow."""
 TIMESYNC_PERIOD_NS: Final = NS_PER_S // 4
 ORIGIN_PERIOD_NS: Final = NS_PER_S
 ORIGIN_AGAIN_NS: Final = 30 * NS_PER_S
@@ -146,6 +150,17 @@ class Session(Receiver):
             return "what comes is signed with another key or an old time: give the vehicle this signing key"
         return "no heartbeat of a vehicle yet"
 
+    def unanswered(self, now_ns: int) -> bool:
+        """Whether it is heard, but has answered nothing of all that it was asked."""
+        since_ns = self.heard_since_ns
+        if since_ns is None or self.answered_ns is not None or not self.connected(now_ns):
+            return False
+        return now_ns - since_ns >= ANSWERED_NS
+
+    def held_back(self, now_ns: int) -> bool:
+        """Whether it holds itself back before its own fence."""
+        return self.held_back_ns is not None and now_ns - self.held_back_ns < HELD_BACK_NS
+
     def streams(self, now_ns: int) -> list[StreamRow]:
         """The messages asked for, and how often they come."""
         return self._streams.rows(now_ns)
@@ -161,6 +176,10 @@ class Session(Receiver):
     def ground_stations(self, now_ns: int) -> list[tuple[int, int]]:
         """System and component of those heard in the last 5 s; they may be there."""
         return [(station.system, station.component) for station in self._participants.ground_stations(now_ns)]
+
+    def other_vehicles(self, now_ns: int) -> list[int]:
+        """System ids of the autopilots that are on this link now, but for the one that is meant."""
+        return [vehicle.system for vehicle in self._participants.vehicles(now_ns)]
 
     @property
     def strangers(self) -> dict[int, int]:
@@ -239,6 +258,26 @@ class Session(Receiver):
         )
         return self._codec.encoded(message)
 
+    def set_parameter(self, name: str, value: float) -> bytes:
+        """The message that sets a parameter of the vehicle; b"" while there is none, while it is armed, for
+        one that is not a rover, and for a value that is not finite. It answers with the value that it has
+        then (`parameters`), one that has no such parameter with nothing. Its type is the vehicle's affair.
+        """
+        if self.system is None or self.armed or self.problem or not isfinite(value):
+            return b""
+        message = dialect.MAVLink_param_set_message(
+            self.system,
+            constants.COMPONENT_AUTOPILOT,
+            name.encode("ascii"),
+            value,
+            constants.PARAM_TYPE_REAL32,
+        )
+        return self._codec.encoded(message)
+
+    def read_parameters(self) -> None:
+        """Reads all parameters anew."""
+        self._parameters.restart()
+
     def tick(self, now_ns: int) -> bytes:
         """All that is due but the setpoint: own heartbeat, TIMESYNC, requests and their repetition. Called
         from the live loop, so that a loop that hangs is not heard either.
@@ -301,6 +340,8 @@ class Session(Receiver):
         outcome = self._commands.take(constants.CMD_SET_MESSAGE_INTERVAL)
         if outcome is not None:
             self._streams.answered(now_ns, outcome.result)
+        if self.parameter(constants.FENCE_ENABLE):
+            self._streams.want(FENCE)
         wanted = self._streams.ask(now_ns)
         if wanted is not None:
             self._commands.give(constants.CMD_SET_MESSAGE_INTERVAL, *wanted)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from agent.fleet.mavlink_section import MavlinkSection
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.session.parameters import AUDITED
@@ -50,3 +51,33 @@ class SessionSettings:
             raise ValueError(f"state_rate_hz must be from 1 to 1000, not {self.state_rate_hz}")
         if not 0 <= self.token < 2**32:
             raise ValueError(f"token must be from 0 to 2^32 - 1, not {self.token}")
+
+
+def session_settings(
+    section: MavlinkSection,
+    token: int,
+    *,
+    signing: Signing | None = None,
+    datum: Geodetic | None = None,
+    parameters: tuple[str, ...] = (),
+) -> SessionSettings:
+    """Whom to speak to, and as whom, as a robot's section of the fleet file has it.
+
+    Args:
+        token, signing, parameters: as `SessionSettings` has them.
+        datum: offered as the EKF's origin, if the section allows that; None: nothing is offered.
+
+    Raises:
+        ValueError: an identity that is another's.
+    """
+    return SessionSettings(
+        system=section.system,
+        own_system=section.own_system,
+        own_component=section.own_component,
+        state_rate_hz=section.state_rate_hz,
+        set_origin=section.set_origin and datum is not None,
+        datum=datum,
+        signing=signing,
+        token=token,
+        parameters=parameters,
+    )

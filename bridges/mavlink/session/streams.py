@@ -63,6 +63,10 @@ def wanted_messages(state_rate_hz: float) -> tuple[Wanted, ...]:
     )
 
 
+FENCE: Final = Wanted(constants.MESSAGE_FENCE_STATUS, "FENCE_STATUS", (1.0,))
+"""Asked for of a vehicle only that has a fence of its own, which may hold it back or take it."""
+
+
 class _Stream:
     def __init__(self, wanted: Wanted) -> None:
         self.wanted = wanted
@@ -129,14 +133,18 @@ class Streams:
     """The requests of one session, one at a time: an answer does not say which message it is about."""
 
     def __init__(self, wanted: Sequence[Wanted]) -> None:
-        self._streams = {entry.message: _Stream(entry) for entry in wanted}
-        self._asked: _Stream | None = None
+        self._wanted = tuple(wanted)
+        self.restart()
 
     def restart(self) -> None:
-        """The vehicle has forgotten: everything is asked for anew."""
-        self._asked = None
-        for stream in self._streams.values():
-            stream.restart()
+        """The vehicle has forgotten: everything is asked for anew, and what was wanted besides is not."""
+        self._asked: _Stream | None = None
+        self._streams = {entry.message: _Stream(entry) for entry in self._wanted}
+
+    def want(self, wanted: Wanted) -> None:
+        """One more, until the next restart."""
+        if wanted.message not in self._streams:
+            self._streams[wanted.message] = _Stream(wanted)
 
     def heard(self, message: int, arrival_ns: int) -> None:
         """A message came. Those that nobody asked for are ignored."""

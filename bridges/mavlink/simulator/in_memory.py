@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Final
 
 from agent.common.time import NS_PER_S
@@ -12,7 +13,7 @@ from bridges.mavlink.ardupilot import frames
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import settings_of
-from plant.backend import Begin, Check, Command, PlantBackend, Reading
+from plant.backend import Begin, Check, Command, PlantBackend, Reading, Said
 
 LATENCY_NS: Final = 2_000_000
 """One way, between bridge and vehicle: as over a network on one machine."""
@@ -101,6 +102,10 @@ class SimulatedRoverPlant(PlantBackend):
     def checks(self, now_ns: int) -> tuple[Check, ...]:
         """See `PlantBackend.checks`."""
         return self.plant.checks(now_ns)
+
+    def status_texts(self) -> Sequence[Said]:
+        """See `PlantBackend.status_texts`."""
+        return self.plant.status_texts()
 
     def close(self) -> None:
         """See `PlantBackend.close`."""

@@ -1,14 +1,16 @@
 """GPS and EKF of a simulated rover: what they say of where it is, and when (PURE).
 
 Measured: the EKF has its origin 17 s after the boot and its position 40 s after it; at rest it reports a
-phantom 0.02 to 0.05 m/s; a jammed GPS costs it its position after 13.5 s; a GPS that lags 300 ms instead of
-the 100 ms that it expects puts it 0.19 m behind at 1 m/s. NED, SI units, times in s since the boot.
+phantom 0.02 to 0.05 m/s; without a GPS the failsafe comes after 8.1 s, with a jammed one after 11.4 s (14.5 s
+in another run), a second after the position is lost; a GPS that lags 300 ms instead of the 100 ms that it
+expects puts it 0.19 m behind at 1 m/s. NED, SI units, times in s since the boot.
 """
 
 from __future__ import annotations
 
+from enum import Enum
 from math import cos, sin, tau
-from typing import Final
+from typing import Final, NamedTuple
 
 from agent.common.random_streams import stream, uniform
 from bridges.mavlink.ardupilot import constants
@@ -34,9 +36,8 @@ EKF_WITHOUT_POSITION: Final = (
     | constants.EKF_CONST_POS_MODE
 )
 FIX_LOST_S: Final = 1.0
-POSITION_LOST_S: Final = 13.5
-"""After this long without a GPS the EKF gives up its position, and after this long with one has it back."""
 POSITION_BACK_S: Final = 10.0
+"""After this long with a GPS again the EKF has its position back."""
 DRIFT: Final = 0.01
 """m/s^2 by which it drifts until then."""
 WANDER: Final = 0.015
@@ -52,12 +53,32 @@ LAG_ERROR: Final = 0.95
 """m/s and s of lag that it does not expect, times this: by how many m it is behind."""
 
 
+class Reception(Enum):
+    """Of the GPS. The value is how long the EKF keeps its position with that, s; it gives it up then."""
+
+    GOOD = 0.0
+    JAMMED = 10.4
+    OFF = 7.1
+
+
+class Variances(NamedTuple):
+    """Of EKF_STATUS_REPORT: test ratios of velocity, position and compass, 1 is the limit of good."""
+
+    velocity: float = 0.02
+    position: float = 0.03
+    compass: float = 0.02
+
+    def beyond(self, most: float) -> bool:
+        """Rover's own check: one of the velocity is enough, of the two others it takes both."""
+        return self.velocity >= most or (self.position >= most and self.compass >= most)
+
+
 class Navigation:
     """The estimate of one vehicle from one boot on.
 
     Attributes: `origin` (None before it has one); `ready`: EKF and GPS carry a position; `initialised`: the
     EKF runs; `north`, `east`, `v_north`, `v_east`, `yaw`, `yaw_rate`: as it reports them; `flags` of
-    EKF_STATUS_REPORT; `fix`, `satellites` and `place` of its GPS.
+    EKF_STATUS_REPORT, and its `variances`; `fix`, `satellites` and `place` of its GPS.
     """
 
     def __init__(self, home: Geodetic, boot_s: float, *key: int | str) -> None:
@@ -69,6 +90,7 @@ class Navigation:
         self.place = home
         self.north = self.east = self.v_north = self.v_east = self.yaw = self.yaw_rate = 0.0
         self.initialised = self.ready = False
+        self.variances = Variances()
         self._fixed = False
         self._without_gps = self._with_gps = 0.0
         self._drift = self._drift_speed = 0.0
@@ -80,11 +102,10 @@ class Navigation:
         self.origin = origin
         return True
 
-    def step(self, time: float, dt: float, truth: RoverDynamics, gps: bool, lag_s: float) -> None:
+    def step(self, time: float, dt: float, truth: RoverDynamics, gps: Reception, lag_s: float) -> None:
         """The estimate at `time` from the truth then.
 
         Args:
-            gps: neither jammed nor off.
             lag_s: by how much the GPS's fixes are late.
         """
         self.initialised = time >= INITIALISED * self._boot_s
@@ -115,10 +136,11 @@ class Navigation:
         self.v_north = truth.speed * c + phantom * cos(course)
         self.v_east = truth.speed * s + phantom * sin(course)
 
-    def _look_at_gps(self, time: float, dt: float, gps: bool) -> None:
+    def _look_at_gps(self, time: float, dt: float, gps: Reception) -> None:
         if time < GPS_FIX * self._boot_s:
             return
-        if gps:
+        good = gps is Reception.GOOD
+        if good:
             self._with_gps += dt
             self._without_gps = 0.0
             self._fixed = True
@@ -132,12 +154,12 @@ class Navigation:
                 self.ready = self.origin is not None and time >= self._boot_s
                 self._drift = self._drift_speed = 0.0
             return
-        if gps:
+        if good:
             self._drift = self._drift_speed = 0.0
         else:
             self._drift_speed += DRIFT * dt
             self._drift += self._drift_speed * dt
-            self.ready = self._without_gps < POSITION_LOST_S
+            self.ready = self._without_gps < gps.value
 
     @property
     def flags(self) -> int:

@@ -16,12 +16,13 @@ from bridges.mavlink.simulator.commands import COMMANDS, SET_MODE, Context, set_
 from bridges.mavlink.simulator.guided import NotFinite, PositionTarget, of_attitude_target, of_position_target
 from bridges.mavlink.simulator.port import Port
 from bridges.mavlink.simulator.routing import Routes
-from bridges.mavlink.simulator.settings import PARAMETERS, SettingsError
+from bridges.mavlink.simulator.settings import SettingsError, type_of
 from bridges.mavlink.simulator.telemetry import BUILDERS, Message, heartbeat
 from bridges.mavlink.simulator.vehicle import WARNING, Vehicle
 
 PARAMETERS_PER_LOOP: Final = 2
 TIMESYNC_PERIOD_NS: Final = 10 * NS_PER_S
+NO_SUCH_PARAMETER: Final = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
 HEARD_MAX: Final = 500
 """Messages that wait for the next loop; what comes on top is lost, as in a full buffer."""
 
@@ -156,7 +157,7 @@ class Protocol:
 
     def _accepted(self, message: Message) -> bool:
         parameters = self._vehicle.parameters
-        if parameters["SYSID_ENFORCE"] == 0:
+        if not int(parameters["SYSID_ENFORCE"]) & constants.OPTION_ENFORCE:
             return True
         return message.get_srcSystem() in (round(parameters["SYSID_MYGCS"]), self._vehicle.system)
 
@@ -195,7 +196,7 @@ class Protocol:
         parameters = self._vehicle.parameters
         names = parameters.names
         return mavlink.MAVLink_param_value_message(
-            name.encode(), parameters[name], PARAMETERS[name][1], len(names), names.index(name)
+            name.encode(), parameters[name], type_of(name), len(names), names.index(name)
         )
 
     def _on_parameter_read(self, port: Port, message: Message, now_ns: int) -> None:
@@ -207,6 +208,10 @@ class Protocol:
             name = names[message.param_index]
         if name in self._vehicle.parameters:
             self._send(port, self._parameter(name), now_ns)
+        elif self._vehicle.settings.new_names:
+            asker = message.get_srcSystem(), message.get_srcComponent()
+            error = mavlink.MAVLink_param_error_message(*asker, name.encode(), -1, NO_SUCH_PARAMETER)
+            self._send(port, error, now_ns)
 
     def _on_parameter_list(self, port: Port, _message: Message, _now_ns: int) -> None:
         port.next_parameter = 0

@@ -10,7 +10,7 @@ from typing import Final, Literal
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
-from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot import constants, steering
 from bridges.mavlink.ardupilot.frames import Geodetic, datum_of, world_to_geodetic, yaw_from_heading
 
 SIGNING_KEY_BYTES: Final = 32
@@ -28,6 +28,7 @@ PARAMETERS: Final[Mapping[str, tuple[float, int]]] = {
     "ATC_ACCEL_MAX": (constants.DEFAULT_ATC_ACCEL_MAX_MPS2, constants.PARAM_TYPE_REAL32),
     "ATC_STR_RAT_MAX": (constants.DEFAULT_ATC_STR_RAT_MAX_DPS, constants.PARAM_TYPE_REAL32),
     "ATC_TURN_MAX_G": (constants.DEFAULT_ATC_TURN_MAX_G, constants.PARAM_TYPE_REAL32),
+    "AVOID_ENABLE": (3, constants.PARAM_TYPE_INT8),
     "BATT_CRT_VOLT": (0, constants.PARAM_TYPE_REAL32),
     "BATT_FS_CRT_ACT": (0, constants.PARAM_TYPE_INT8),
     "BATT_FS_LOW_ACT": (0, constants.PARAM_TYPE_INT8),
@@ -35,7 +36,12 @@ PARAMETERS: Final[Mapping[str, tuple[float, int]]] = {
     "BATT_LOW_VOLT": (10.5, constants.PARAM_TYPE_REAL32),
     "BATT_MONITOR": (4, constants.PARAM_TYPE_INT8),
     "CRUISE_SPEED": (2, constants.PARAM_TYPE_REAL32),
+    "FENCE_ACTION": (1, constants.PARAM_TYPE_INT8),
+    "FENCE_ENABLE": (0, constants.PARAM_TYPE_INT8),
+    "FENCE_MARGIN": (2, constants.PARAM_TYPE_REAL32),
+    "FENCE_RADIUS": (300, constants.PARAM_TYPE_REAL32),
     "FRAME_CLASS": (1, constants.PARAM_TYPE_INT8),
+    "FRAME_TYPE": (0, constants.PARAM_TYPE_INT8),
     "FS_ACTION": (2, constants.PARAM_TYPE_INT8),
     "FS_CRASH_CHECK": (0, constants.PARAM_TYPE_INT8),
     "FS_EKF_ACTION": (1, constants.PARAM_TYPE_INT8),
@@ -45,6 +51,9 @@ PARAMETERS: Final[Mapping[str, tuple[float, int]]] = {
     "FS_THR_ENABLE": (1, constants.PARAM_TYPE_INT8),
     "FS_TIMEOUT": (1.5, constants.PARAM_TYPE_REAL32),
     "SCHED_LOOP_RATE": (constants.LOOP_RATE_HZ, constants.PARAM_TYPE_INT16),
+    **dict.fromkeys(steering.ALL, (0, constants.PARAM_TYPE_INT16)),
+    "SERVO1_FUNCTION": (steering.THROTTLE_LEFT, constants.PARAM_TYPE_INT16),
+    "SERVO3_FUNCTION": (steering.THROTTLE_RIGHT, constants.PARAM_TYPE_INT16),
     "SIM_BATT_VOLTAGE": (12.6, constants.PARAM_TYPE_REAL32),
     "SIM_GPS1_ENABLE": (1, constants.PARAM_TYPE_INT8),
     "SIM_GPS1_JAM": (0, constants.PARAM_TYPE_INT8),
@@ -53,6 +62,13 @@ PARAMETERS: Final[Mapping[str, tuple[float, int]]] = {
     "WP_SPEED": (constants.DEFAULT_WP_SPEED_MPS, constants.PARAM_TYPE_REAL32),
 }
 """Name: default, MAV_PARAM_TYPE. Those that change what the simulated rover does, or that an audit reads."""
+NEW_NAMES: Final = {
+    "SYSID_THISMAV": "MAV_SYSID",
+    "SYSID_MYGCS": "MAV_GCS_SYSID",
+    "SYSID_ENFORCE": "MAV_OPTIONS",
+}
+"""What newer firmware calls these."""
+_OLD_NAMES: Final = {new: old for old, new in NEW_NAMES.items()}
 RANGES: Final = {
     "SYSID_THISMAV": (1, 254),
     "SYSID_MYGCS": (1, 255),
@@ -77,6 +93,7 @@ class Settings:
             there after 17/40 of it, as measured.
         hand_over: its operator sets GUIDED and arms it, once, as soon as its pre-arm checks are good.
         parameters: what differs from `PARAMETERS`.
+        new_names: it has `NEW_NAMES`, and says so of a parameter that it has not, as newer firmware.
         seed: of its creep at boot, its errors of estimation and its jitter.
         signing_key: 32 bytes that it was given before, or none.
         vehicle_type, autopilot: MAV_TYPE, MAV_AUTOPILOT of its heartbeat.
@@ -91,6 +108,7 @@ class Settings:
     boot_s: float = 40.0
     hand_over: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
+    new_names: bool = False
     seed: int = 0
     signing_key: bytes = b""
     vehicle_type: int = constants.TYPE_GROUND_ROVER
@@ -133,6 +151,7 @@ def settings_of(fleet: Fleet, robot: int) -> Settings:
 
 def check_parameter(name: str, value: float) -> None:
     """Raises `SettingsError` for a parameter that the simulated rover lacks, or that cannot be so."""
+    name = _OLD_NAMES.get(name, name)
     if name not in PARAMETERS:
         raise SettingsError(f"no parameter {name}; there are {', '.join(sorted(PARAMETERS))}")
     if not isfinite(value):
@@ -142,28 +161,39 @@ def check_parameter(name: str, value: float) -> None:
         raise SettingsError(f"the parameter {name} is from {least} to {most}, not {value:g}")
 
 
+def type_of(name: str) -> int:
+    """MAV_PARAM_TYPE of a parameter, by either of its names."""
+    return PARAMETERS[_OLD_NAMES.get(name, name)][1]
+
+
 class Parameters:
-    """The parameters of a vehicle, kept over a reboot."""
+    """The parameters of a vehicle, kept over a reboot. Code here knows them by their older names.
+
+    Attributes: `names`: as whoever asks for them knows them; `turns_on_the_spot`: by what its outputs do.
+    """
 
     def __init__(self, settings: Settings) -> None:
         self._values = {name: float(default) for name, (default, _) in PARAMETERS.items()}
         self._values["SYSID_THISMAV"] = float(settings.system)
+        self.turns_on_the_spot = steering.turns_on_the_spot(self._values)
+        self.names = tuple(NEW_NAMES.get(name, name) if settings.new_names else name for name in self._values)
         for name, value in settings.parameters.items():
             self.set(name, value)
-        self.names = tuple(self._values)
 
     def __getitem__(self, name: str) -> float:
-        return self._values[name]
+        return self._values[_OLD_NAMES.get(name, name)]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._values
+        """Whether somebody outside can ask for it."""
+        return name in self.names
 
     def set(self, name: str, value: float) -> None:
         """Raises `SettingsError`; whole numbers are rounded to."""
         check_parameter(name, value)
-        self._values[name] = float(
-            value if PARAMETERS[name][1] == constants.PARAM_TYPE_REAL32 else round(value)
-        )
+        name = _OLD_NAMES.get(name, name)
+        self._values[name] = float(value if type_of(name) == constants.PARAM_TYPE_REAL32 else round(value))
+        if name in steering.ALL or name == steering.FRAME_TYPE:
+            self.turns_on_the_spot = steering.turns_on_the_spot(self._values)
 
 
 def parse_home(text: str) -> tuple[Geodetic, float]:

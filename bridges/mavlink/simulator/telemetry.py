@@ -112,10 +112,22 @@ def _gps(vehicle: Vehicle, now_ns: int) -> Message:
 
 
 def _ekf(vehicle: Vehicle, _now_ns: int) -> Message:
-    ready = vehicle.navigation.ready
+    navigation = vehicle.navigation
+    velocity, position, compass = navigation.variances
+    if not navigation.ready:
+        velocity = position = 0.0
     return mavlink.MAVLink_ekf_status_report_message(
-        vehicle.navigation.flags, 0.02 if ready else 0.0, 0.03 if ready else 0.0, 0.01, 0.02, 0.0, 0.0
+        navigation.flags, velocity, position, 0.01, compass, 0.0, 0.0
     )
+
+
+def _fence(vehicle: Vehicle, now_ns: int) -> Message | None:
+    if not vehicle.parameters[constants.FENCE_ENABLE]:
+        return None
+    fence = vehicle.fence
+    breach = mavlink.FENCE_BREACH_BOUNDARY if fence.breached else mavlink.FENCE_BREACH_NONE
+    held = constants.MITIGATE_SPEED if fence.limits(now_ns) else constants.MITIGATE_NONE
+    return mavlink.MAVLink_fence_status_message(int(fence.breached), fence.breaches, breach, 0, held)
 
 
 def _charge(vehicle: Vehicle) -> int:
@@ -207,6 +219,7 @@ BUILDERS: Final[Mapping[int, Callable[[Vehicle, int], Message | None]]] = {
     constants.MESSAGE_AUTOPILOT_VERSION: _version,
     constants.MESSAGE_EKF_STATUS_REPORT: _ekf,
     constants.MESSAGE_HOME_POSITION: _home,
+    constants.MESSAGE_FENCE_STATUS: _fence,
 }
 """All that can be asked for by its id. None: it has nothing to say yet, and sends nothing."""
 DEFAULT_STREAMS: Final = (

@@ -11,10 +11,11 @@ from typing import Final
 
 from agent.common.random_streams import stream, uniform
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics
+from bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics, limited
 from bridges.mavlink.ardupilot.frames import Geodetic, local_to_geodetic
+from bridges.mavlink.simulator.fence import Fence
 from bridges.mavlink.simulator.guided import Guided, Pose
-from bridges.mavlink.simulator.navigation import Navigation
+from bridges.mavlink.simulator.navigation import Navigation, Reception
 from bridges.mavlink.simulator.settings import Parameters, Settings
 
 CREEP_M: Final = (0.03, 0.09)
@@ -28,6 +29,9 @@ WARM_STEP_S: Final = 0.1
 EKF_CHECK_PERIOD_NS: Final = 100_000_000
 EKF_CHECKS: Final = 10
 """So many checks of a lost position in a row are a failsafe."""
+FENCE_PERIOD_NS: Final = 100_000_000
+TURN_RADIUS: Final = 0.9
+"""m (TURN_RADIUS). Steered by its front wheels it turns in no less, so not at all where it stands."""
 PREARM_PERIOD_NS: Final = 30_000_000_000
 """How often a disarmed rover says why it cannot be armed."""
 NEED_POSITION: Final = frozenset(
@@ -49,7 +53,7 @@ ACTIONS: Final = {
     3: (constants.MODE_SMART_RTL, constants.MODE_RTL, constants.MODE_HOLD),
     4: (constants.MODE_SMART_RTL, constants.MODE_HOLD),
 }
-"""Modes that FS_ACTION and BATT_FS_*_ACT try, in this order."""
+"""Modes that FS_ACTION, BATT_FS_*_ACT and FENCE_ACTION try, in this order."""
 CRITICAL, WARNING, INFO = 2, 4, 6
 """MAV_SEVERITY."""
 
@@ -98,6 +102,8 @@ class Vehicle:
         self.failsafe = self.ekf_failsafe = False
         self._ekf_checks = 0
         self._ekf_check_ns = boot_ns
+        self.fence = Fence()
+        self._fence_ns = boot_ns
         self._battery_low_ns: int | None = None
         self._battery_acted = False
         self._prearm_ns = boot_ns
@@ -112,6 +118,10 @@ class Vehicle:
     def place(self) -> Geodetic:
         """Where it is in truth."""
         return local_to_geodetic(self.settings.home, self.truth.north, self.truth.east)
+
+    @property
+    def _from_home(self) -> tuple[float, float]:
+        return self.truth.north, self.truth.east
 
     @property
     def pose(self) -> Pose:
@@ -205,6 +215,9 @@ class Vehicle:
             if self.guided.timed_out(now_ns):
                 self.say(WARNING, constants.SETPOINT_TIMEOUT_TEXT)
             speed, yaw_rate = self.guided.demand(self.pose, limits.speed, parameters["WP_RADIUS"])
+            speed = self.fence.slowed(parameters, speed, self.truth.yaw, self._from_home, now_ns)
+        if not parameters.turns_on_the_spot:
+            yaw_rate = limited(yaw_rate, abs(self.truth.speed) / TURN_RADIUS)
         self.truth.step(dt, speed, yaw_rate, powered=self.armed, limits=limits)
         self._believe((now_ns - self.boot_ns) * 1e-9, dt)
 
@@ -214,7 +227,8 @@ class Vehicle:
             way = self._creep * dt / ((CREEP_UNTIL - CREEP_FROM) * boot_s)
             self.truth.north += way * cos(self.truth.yaw)
             self.truth.east += way * sin(self.truth.yaw)
-        gps = self.parameters["SIM_GPS1_ENABLE"] != 0 and self.parameters["SIM_GPS1_JAM"] == 0
+        off, jammed = self.parameters["SIM_GPS1_ENABLE"] == 0, self.parameters["SIM_GPS1_JAM"] != 0
+        gps = Reception.OFF if off else Reception.JAMMED if jammed else Reception.GOOD
         had = self.navigation.origin
         self.navigation.step(time, dt, self.truth, gps, self.parameters["SIM_GPS1_LAG_MS"] * 1e-3)
         if self.navigation.origin is not None and had is None:
@@ -226,6 +240,9 @@ class Vehicle:
             self._look_at_ekf()
         self._look_at_ground_station(now_ns)
         self._look_at_battery(now_ns)
+        if now_ns - self._fence_ns >= FENCE_PERIOD_NS:
+            self._fence_ns = now_ns
+            self._look_at_fence()
         if not self.armed and now_ns - self._prearm_ns >= PREARM_PERIOD_NS:
             self._prearm_ns = now_ns
             if why := self.arming_refused():
@@ -233,7 +250,9 @@ class Vehicle:
 
     def _look_at_ekf(self) -> None:
         parameters = self.parameters
-        lost = self.armed and not self.navigation.ready and parameters["FS_EKF_THRESH"] > 0
+        most, navigation = parameters["FS_EKF_THRESH"], self.navigation
+        bad = not navigation.ready or navigation.variances.beyond(most)
+        lost = self.armed and most > 0 and bad
         if lost:
             self._ekf_checks = min(EKF_CHECKS, self._ekf_checks + 1)
         else:
@@ -284,6 +303,10 @@ class Vehicle:
             self._battery_acted = True
             self.say(WARNING, f"Battery 1 is low {parameters['SIM_BATT_VOLTAGE']:.2f}V used 0 mAh")
             self._act(round(parameters["BATT_FS_LOW_ACT"]))
+
+    def _look_at_fence(self) -> None:
+        if self.fence.look(self.parameters, *self._from_home) and self.armed:
+            self._act(round(self.parameters["FENCE_ACTION"]))
 
     def _act(self, action: int) -> None:
         """What a failsafe does."""

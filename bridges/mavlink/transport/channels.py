@@ -1,29 +1,21 @@
-"""UDP, TCP and serial channels behind one interface: read when poll says so, written without waiting."""
+"""UDP and TCP channels behind one interface: read when poll says so, written without waiting."""
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import fcntl
-import os
 import socket
-import termios
 from typing import Any, Final, Protocol
 
 from agent.common.time import NS_PER_S
 from bridges.mavlink.transport.connection_string import Connection, Unusable
 
 READ_BYTES: Final = 8192
-NO_DEVICE: Final = "there is no such device: is it plugged in?"
 PEER_NS: Final = 3 * NS_PER_S
 """The sender a waiting UDP port listens to may be silent this long before another takes its place."""
 TCP_QUEUE_BYTES: Final = 16384
 TCP_SILENT_MS: Final = 3000
 """What was sent and not acknowledged for this long ends the connection, so that it is opened again."""
 CONNECT_S: Final = 2.0
-SERIAL_QUEUE_S: Final = 0.25
-"""More than this waiting in a serial port's buffer: what is sent would come too late, and is dropped."""
-_SERIAL_BITS: Final = 10
 
 
 class Channel(Protocol):
@@ -31,9 +23,14 @@ class Channel(Protocol):
 
     Attributes:
         note: something odd that does not keep it from working, "" when nothing is.
+        trouble: why what comes is of no use, "" while nothing speaks against it.
     """
 
-    note: str
+    @property
+    def note(self) -> str: ...
+
+    @property
+    def trouble(self) -> str: ...
 
     def fileno(self) -> int:
         """To poll for reading."""
@@ -41,6 +38,10 @@ class Channel(Protocol):
 
     def read(self, now_ns: int) -> bytes:
         """What is there, b"" for nothing of use. Raises OSError when the connection has ended."""
+        ...
+
+    def look(self, now_ns: int) -> None:
+        """Nothing came for a while: `trouble` may be over."""
         ...
 
     def write(self, data: bytes) -> bool:
@@ -61,11 +62,21 @@ def _addresses(connection: Connection, kind: socket.SocketKind, flags: int = 0) 
     return sorted(found, key=lambda entry: entry[0] != socket.AF_INET)
 
 
-def _would_wait(error: OSError) -> bool:
+def would_wait(error: OSError) -> bool:
+    """Whether there is only nothing to read, or no room to write, at the moment."""
     return error.errno in (errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS, errno.EINTR)
 
 
-class UdpIn:
+class _Packets:
+    """What network channels have in common: checksums see to it that what comes was sent so."""
+
+    trouble = ""
+
+    def look(self, now_ns: int) -> None:
+        """See `Channel`."""
+
+
+class UdpIn(_Packets):
     """Waits for a vehicle that sends here. Answers go to the first that was heard, until that has been silent
     for 3 s; what others send is dropped.
     """
@@ -93,7 +104,7 @@ class UdpIn:
         try:
             data, sender = self._socket.recvfrom(READ_BYTES)
         except OSError as error:
-            if _would_wait(error) or error.errno == errno.ECONNREFUSED:
+            if would_wait(error) or error.errno == errno.ECONNREFUSED:
                 return b""  # ECONNREFUSED: an earlier answer found nobody
             raise
         if sender != self._peer:
@@ -120,7 +131,7 @@ class UdpIn:
         self._socket.close()
 
 
-class UdpOut:
+class UdpOut(_Packets):
     """Sends to a vehicle, and hears only that one."""
 
     def __init__(self, connection: Connection) -> None:
@@ -163,11 +174,10 @@ class UdpOut:
         self._socket.close()
 
 
-class _Stream:
+class Stream:
     """Bytes in a row: what was begun is sent to its end before anything else."""
 
     def __init__(self) -> None:
-        self.note = ""
         self._rest = b""
 
     def _put(self, data: bytes) -> int:
@@ -184,8 +194,10 @@ class _Stream:
         return bool(sent)
 
 
-class Tcp(_Stream):
+class Tcp(_Packets, Stream):
     """A connection to a vehicle's TCP port, as of ArduPilot's simulator."""
+
+    note = ""
 
     def __init__(self, connection: Connection) -> None:
         super().__init__()
@@ -209,7 +221,7 @@ class Tcp(_Stream):
         try:
             data = self._socket.recv(READ_BYTES)
         except OSError as error:
-            if _would_wait(error):
+            if would_wait(error):
                 return b""
             raise
         if not data:
@@ -220,84 +232,9 @@ class Tcp(_Stream):
         try:
             return self._socket.send(data)
         except OSError as error:
-            if _would_wait(error):
+            if would_wait(error):
                 return 0
             raise
 
     def close(self) -> None:
         self._socket.close()
-
-
-class Serial(_Stream):
-    """A serial device, opened so that no other program can."""
-
-    def __init__(self, connection: Connection, baud: int) -> None:
-        super().__init__()
-        try:
-            import serial
-        except ModuleNotFoundError:
-            raise Unusable("serial devices need pyserial: pip install 'handfast[rover]'") from None
-        self._baud = baud
-        try:
-            self._port = serial.Serial(connection.device, baud, timeout=0, exclusive=True)
-        except serial.SerialException as error:
-            why = _why_not(connection.device, error.errno, str(error))
-            raise (OSError if why == NO_DEVICE else Unusable)(why) from None
-        except ValueError:
-            raise Unusable(f"it cannot be set to {baud} baud") from None
-        self._handle = self._port.fileno()
-        with contextlib.suppress(OSError):  # pyserial's lock keeps only those out who ask for it
-            fcntl.ioctl(self._handle, termios.TIOCEXCL)
-
-    def fileno(self) -> int:
-        return int(self._handle)
-
-    def read(self, now_ns: int) -> bytes:
-        try:
-            data = os.read(self._handle, READ_BYTES)
-        except OSError as error:
-            if _would_wait(error):
-                return b""
-            raise OSError("the device is gone") from None
-        if not data:  # readable, and yet nothing: that is how an unplugged one looks
-            raise OSError("the device is gone")
-        return data
-
-    def _put(self, data: bytes) -> int:
-        try:
-            if self._port.out_waiting * _SERIAL_BITS > self._baud * SERIAL_QUEUE_S:
-                return 0
-            return os.write(self._handle, data)
-        except OSError as error:
-            if _would_wait(error):
-                return 0
-            raise OSError("the device is gone") from None
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            self._port.close()
-
-
-def _why_not(device: str, number: int | None, text: str) -> str:
-    if number == errno.EACCES:
-        return "permission denied: add this user to the group of the device (dialout), and log in again"
-    if number == errno.ENOENT or not os.path.exists(device):
-        return NO_DEVICE
-    if number in (errno.EBUSY, errno.EAGAIN) or "lock" in text:
-        return "another program has it open"
-    return text if number is None else os.strerror(number).lower()
-
-
-def open_channel(connection: Connection, baud: int) -> Channel:
-    """Opens a connection; may take seconds.
-
-    Raises:
-        OSError: it cannot be opened; the text says why.
-    """
-    if connection.kind == "udpin":
-        return UdpIn(connection)
-    if connection.kind == "udpout":
-        return UdpOut(connection)
-    if connection.kind == "tcp":
-        return Tcp(connection)
-    return Serial(connection, baud)

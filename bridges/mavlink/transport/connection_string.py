@@ -6,6 +6,7 @@ from typing import Final, Literal, NamedTuple, get_args
 
 Kind = Literal["udpin", "udpout", "tcp", "serial"]
 BY_ID: Final = "/dev/serial/by-id/"
+CHANGING: Final = ("/dev/ttyUSB", "/dev/ttyACM")
 FORMS: Final = (
     "udpin:HOST:PORT (wait there for the vehicle), udpout:HOST:PORT (send there), tcp:HOST:PORT or a serial "
     "device as /dev/serial/by-id/..."
@@ -29,8 +30,8 @@ class Connection(NamedTuple):
 
     @property
     def by_id(self) -> bool:
-        """Whether its name stays with the vehicle: /dev/ttyUSB0 is another one after the next boot."""
-        return self.kind != "serial" or self.device.startswith(BY_ID)
+        """Whether its name stays with the vehicle (`is_lasting`)."""
+        return is_lasting(self.text)
 
     @property
     def text(self) -> str:
@@ -39,6 +40,13 @@ class Connection(NamedTuple):
             return self.device
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.kind}:{host}:{self.port}"
+
+
+def is_lasting(text: str) -> bool:
+    """Whether a connection's name stays with the vehicle: /dev/ttyUSB0 is another one after the next boot. A
+    computer's own UART has no other name, and keeps it.
+    """
+    return not text.startswith(CHANGING)
 
 
 def parse_connection(text: str) -> Connection:

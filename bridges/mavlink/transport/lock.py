@@ -27,6 +27,27 @@ def _name(connection: Connection, system: int | None) -> str:
     return f"{readable}-{sha256(text.encode()).hexdigest()[:8]}.lock"
 
 
+def lock_file(name: str) -> int:
+    """Handle of the lock file `name` of this user, which is locked until that is closed, or the process ends,
+    however it ends. The file stays: to remove it would be a race with the next holder.
+
+    Raises:
+        InUse: another process has it.
+        OSError: there is no private folder for locks.
+    """
+    handle = os.open(private_folder() / name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        holder = os.pread(handle, 20, 0).decode("ascii", errors="replace").strip()
+        os.close(handle)
+        whose = f" (process {holder})" if holder.isdigit() else ""
+        raise InUse(f"another handfast program uses it{whose}") from None
+    os.ftruncate(handle, 0)
+    os.pwrite(handle, f"{os.getpid()}\n".encode("ascii"), 0)
+    return handle
+
+
 class ConnectionLock:
     """The lock of a connection, held until `close`, or until the process ends, however it ends.
 
@@ -40,18 +61,8 @@ class ConnectionLock:
     """
 
     def __init__(self, connection: Connection, system: int | None = None) -> None:
-        path = private_folder() / _name(connection, system)
-        self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            holder = os.pread(self._handle, 20, 0).decode("ascii", errors="replace").strip()
-            os.close(self._handle)
-            whose = f" (process {holder})" if holder.isdigit() else ""
-            raise InUse(f"another handfast program uses it{whose}") from None
-        os.ftruncate(self._handle, 0)
-        os.pwrite(self._handle, f"{os.getpid()}\n".encode("ascii"), 0)
+        self._handle = lock_file(_name(connection, system))
 
     def close(self) -> None:
-        """Lets go. The file stays: to remove it would be a race with the next holder."""
+        """Lets go."""
         os.close(self._handle)

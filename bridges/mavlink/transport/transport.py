@@ -17,11 +17,14 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from agent.runtime.runtime_folder import NotPrivateError
-from bridges.mavlink.transport.channels import Channel, open_channel
+from bridges.mavlink.transport.channels import Channel, Tcp, UdpIn, UdpOut
 from bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
 from bridges.mavlink.transport.lock import ConnectionLock
+from bridges.mavlink.transport.serial_channel import Serial
 
 QUEUE_MAX: Final = 4096
+LOOK_MS: Final = 1000
+"""While what comes is of no use, it is looked so often whether it still comes."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Transport(Protocol):
     """A connection, open or being opened again and again.
 
     Attributes:
-        trouble: why there is none, "" while there is one. Changes at any time.
+        trouble: why there is none, or none of use, "" while there is one. Changes at any time.
         transient: whether that trouble may end by itself; else somebody has to change something first.
         epoch: how often it was opened: when it has grown, the session starts afresh (`Session.restart`).
         note: something odd that does not keep it from working, "" when nothing is.
@@ -194,7 +197,11 @@ class ThreadedTransport:
         poller.register(waker, select.POLLIN)
         try:
             while not self._closing.is_set():
-                for handle, _ in poller.poll():
+                ready = poller.poll(LOOK_MS if channel.trouble else None)
+                if not ready:
+                    channel.look(self._clock())
+                    self._judge(channel)
+                for handle, _ in ready:
                     if handle == waker:
                         self._wake_read.recv(64)
                         if self._failure is not None:
@@ -205,6 +212,7 @@ class ThreadedTransport:
                     if data:
                         self._queue.append((now_ns, data))
                         came = True
+                    self._judge(channel)
         except OSError as error:
             self.transient = True
             self.trouble = f"{self._connection.text}: {_reason(error)}"
@@ -214,10 +222,31 @@ class ThreadedTransport:
             channel.close()
         return came
 
+    def _judge(self, channel: Channel) -> None:
+        """Tells what the channel says of what comes."""
+        said = channel.trouble and f"{self._connection.text}: {channel.trouble}"
+        if said != self.trouble:
+            self.transient, self.trouble = not said, said
+
 
 def _reason(error: OSError) -> str:
     text = str(error) if error.errno is None else error.strerror or str(error)
     return text[:1].lower() + text[1:]
+
+
+def open_channel(connection: Connection, baud: int) -> Channel:
+    """Opens a connection; may take seconds.
+
+    Raises:
+        OSError: it cannot be opened; the text says why.
+    """
+    if connection.kind == "udpin":
+        return UdpIn(connection)
+    if connection.kind == "udpout":
+        return UdpOut(connection)
+    if connection.kind == "tcp":
+        return Tcp(connection)
+    return Serial(connection, baud)
 
 
 def open_transport(

@@ -33,6 +33,15 @@ LINK_LOSS: Final = (0.5, 10.0)
 """Share of the scenarios in which all links are late and lossy, by how much, ms, %."""
 _RATES_HZ: Final = ((10, 3.0), (15, 1.0), (20, 1.0))
 _TIMEOUT_PERIODS: Final = 3.0
+PATIENT: Final = 0.4
+PATIENT_PERIODS: Final = 10.0
+"""Share of the scenarios in which a plant waits for so many periods until it brakes."""
+BUSY: Final = 0.5
+BUSY_MS: Final = (300, 900)
+BUSY_SHARES: Final = (10, 40)
+BUSY_S: Final = (8.0, 12.0)
+"""Share of those in which processes are late all the time, by up to how much, in so many ticks, %: for how
+long until all stand for it nobody can say, and what they do until then is what matters."""
 
 
 def draw_overloaded(seed: int) -> Tables:
@@ -66,6 +75,11 @@ def draw_overloaded(seed: int) -> Tables:
     }
     tables["robot"] = pieces.robots_at(dice, starts, (), reach_m)
     rules = [_stalls(dice, rate_hz, stalls_s)]
+    patient = Dice("patient", seed)
+    if patient.chance(PATIENT):
+        control["plant_timeout_s"] = control["wrench_timeout_s"] = round(PATIENT_PERIODS / rate_hz, 2)
+        if patient.chance(BUSY):
+            rules[0] |= _busy(patient)
     if dice.chance(LATE_LINKS):
         rules.append(_late_links(dice))
     tables["faults"] = {"rule": rules}
@@ -81,6 +95,15 @@ def _stalls(dice: Dice, rate_hz: float, until_s: float) -> Tables:
         "tick_jitter_share": f"{share:.2g}%",
         "at": 0.0,
         "for": until_s,
+    }
+
+
+def _busy(dice: Dice) -> Tables:
+    """What is other than with `_stalls` where all processes are late all the time."""
+    return {
+        "tick_jitter": f"{dice.whole(*BUSY_MS)}ms",
+        "tick_jitter_share": f"{dice.whole(*BUSY_SHARES)}%",
+        "for": dice.between(*BUSY_S, 1),
     }
 
 

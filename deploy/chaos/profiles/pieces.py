@@ -204,6 +204,18 @@ def robots_at(
     return rows
 
 
+def scattered(dice: Dice, places: Mapping[int, Vector], off: float, apart: float) -> dict[int, Vector]:
+    """Places drawn up to `off` beside these in x and in y, no two nearer than `apart`."""
+    hands: dict[int, Vector] = {}
+    for robot, (x, y) in places.items():
+        while True:
+            hand = x + dice.between(-off, off), y + dice.between(-off, off)
+            if all(dist(hand, other) >= apart for other in hands.values()):
+                break
+        hands[robot] = hand
+    return hands
+
+
 def _somewhere(dice: Dice, side: float) -> tuple[float, float]:
     return dice.between(-0.5 * side, 0.5 * side), dice.between(-0.5 * side, 0.5 * side)
 

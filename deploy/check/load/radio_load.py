@@ -105,7 +105,7 @@ def radio_loads(
             often as they may then, in large fleets too.
     """
     joined, listened = neighbours(fleet, geometry), listeners(fleet, geometry, at_start=at_start)
-    hands = {robot: _hand_bytes(robot, joined[robot], listened[robot]) for robot in fleet.ids}
+    hands = {robot: _hand_bytes(fleet, robot, joined[robot], listened[robot]) for robot in fleet.ids}
     beacons = beacon_hz(fleet), _beacon_bytes(fleet, 0)
     if silences:
         told = min(SILENT_MAX, max(0, len(fleet.ids) - 2))
@@ -204,11 +204,13 @@ def _size(message: Message) -> int:
     return len(encode(message))
 
 
-def _hand_bytes(robot: int, joined: Set[int], near: Set[int]) -> float:
+def _hand_bytes(fleet: Fleet, robot: int, joined: Set[int], near: Set[int]) -> float:
     """One hand state on average: it echoes what was heard once in `HEARD_ROUNDS`."""
     multipliers = tuple((other, 0.1) for other in sorted(joined))
     heard = tuple((other, _ECHO_US) for other in sorted(near))
     hand = HandState(robot, _ROUND, _NOW_NS, True, len(multipliers), *(0.1,) * 11, multipliers, ())
+    if fleet.robot(robot).kind.rolls_on_s:
+        hand = hand._replace(obeys=((0.1,) * 3,))
     return (_size(hand._replace(heard=heard)) + (HEARD_ROUNDS - 1) * _size(hand)) / HEARD_ROUNDS
 
 
@@ -217,7 +219,9 @@ def _beacon_bytes(fleet: Fleet, silent: int) -> int:
     robot = max(fleet.ids)
     told = Silent(robot, _NOW_NS, True, *(0.1,) * 7)
     orders = (_NOW_NS, 2**31, -1, -1)
-    return _size(Beacon(robot, _ROUND, _NOW_NS, True, *(0.1,) * 5, *orders, (told,) * silent))
+    rolling = ((robot, 0.1, 0.1, 0.1),) if fleet.robot(robot).kind.rolls_on_s else ()
+    beacon = Beacon(robot, _ROUND, _NOW_NS, True, *(0.1,) * 5, *orders, (told,) * silent)
+    return _size(beacon._replace(rolling=rolling * (1 + silent)))
 
 
 def _wrench(robot: int) -> Wrench:

@@ -7,6 +7,7 @@ import sys
 from contextlib import suppress
 
 from agent.common.exit import FAILED
+from agent.fleet.mavlink_section import SHARED_LINKS, MavlinkSection
 from agent.fleet.model import Fleet
 from deploy.console.arguments import (
     InputError,
@@ -39,6 +40,7 @@ def _run(options: argparse.Namespace) -> int:
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
+        _refuse_links(options, fleet)
         refuse_errors(options, fleet)
         with interrupt.answered("nothing was started", raises=True):
             _refuse_overload(options, fleet)
@@ -61,6 +63,25 @@ def _run(options: argparse.Namespace) -> int:
             status = finish(options, folder, run.reasons, interrupt)
             page.recorded()
             return status
+
+
+def _refuse_links(options: argparse.Namespace, fleet: Fleet) -> None:
+    """Raises `InputError` where robots on several hosts have the same link there, as each has its own serial
+    port: this machine has it once."""
+    first: dict[str, int] = {}
+    for robot in fleet.robots:
+        link = robot.section(MavlinkSection)
+        if robot.host is None or robot.is_simulated or link is None or link.connection is None:
+            continue
+        if link.connection.startswith(SHARED_LINKS):
+            continue
+        other = first.setdefault(link.connection, robot.id)
+        if other != robot.id:
+            raise InputError(
+                f"{options.fleet}: not started: robots {other} and {robot.id} both have {link.connection}, "
+                "each on its own host: `handfast up` brings it up there; with simulated rovers here: --set "
+                "robot_defaults.mavlink.connection=simulator"
+            )
 
 
 def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:

@@ -1,6 +1,6 @@
 // The line of time with its marks: a click or a drag goes to that moment, arrow keys step.
 const PAD = 8;
-const SHAPES = { violation: "bad", fault: "warn", order: "accent", state: "soft" };
+const SHAPES = { violation: "bad", fault: "warn", order: "accent", state: "soft", vehicle: "soft" };
 
 export class Timeline {
   constructor(canvas, scene, onSeek) {

@@ -3,6 +3,9 @@
 A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that
 it lives (`agent.runtime.systemd_notify`); it bounds what it may take, and keeps it from what it does not need
 (`deploy.hosts.artifacts.sandboxing`). Neither ssh nor the operator's machine is needed for that.
+
+A bridge's unit does not wait for its serial port: the bridge does, and says on the bus for what. A unit after
+a device's says nothing meanwhile, and starts 90 s late where no udev tells the user's systemd of the port.
 """
 
 from __future__ import annotations

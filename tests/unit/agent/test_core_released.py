@@ -93,9 +93,10 @@ def test_a_robot_whose_body_was_not_handed_over_waits_with_the_reason():
     assert out.hand is not None
     bench.mission()
     for out in bench.run(LISTEN_TICKS):
-        assert bench.agent.condition == ("waiting", "mode MANUAL")
+        assert bench.agent.condition[1] == "mode MANUAL"
         assert brakes(out)
         assert not out.hand.following
+    assert bench.state is State.RELEASED, "the drive goes on without it"
     bench.plant = {}
     bench.tick()
     assert bench.state is State.RUNNING
@@ -115,7 +116,7 @@ def test_a_plant_that_starts_again_while_its_operator_had_the_body_does_not_end_
         assert brakes(out)
         assert not out.hand.following
     state, reason = bench.agent.condition
-    assert state == "waiting"
+    assert state == "released"
     assert "told to resume" in reason
     bench.give(RESUME, Resume(1, bench.now, (2,)))  # somebody else's
     assert brakes(bench.tick())
@@ -143,8 +144,8 @@ def test_an_agent_that_starts_again_while_its_body_is_taken_waits_for_it():
     bench.plant = TAKEN
     bench.tick()
     bench.mission(epoch_ns=START - 10 * NS_PER_S)
-    assert all(map(brakes, bench.run(20)))
-    assert bench.agent.condition == ("waiting", "mode MANUAL")
+    assert all(map(brakes, bench.run(LISTEN_TICKS)))
+    assert bench.agent.condition == ("released", "mode MANUAL")
     bench.plant = {}
     assert not brakes(bench.tick())
     assert bench.agent.condition == ("running", "")
@@ -160,7 +161,7 @@ def test_a_bad_pose_of_a_taken_body_is_a_fault_all_the_same():
     assert bench.agent.condition == ("fault", "plant unhealthy: no estimate")
     bench.plant = TAKEN
     bench.run(3)
-    assert bench.agent.condition == ("waiting", "mode MANUAL")
+    assert bench.agent.condition == ("released", "mode MANUAL")
 
 
 def test_a_stop_reaches_a_released_robot():

@@ -293,7 +293,7 @@ def test_what_is_said_to_a_stream_that_is_closed_goes_nowhere(closed: int, tmp_p
         assert done.returncode == status, done
         assert (done.stdout, done.stderr)[closed - 1] == ""
         assert "no bundled fleet of that name" not in done.stdout
-    assert {path.name for path in out.iterdir()} == {"fleet.toml", "metrics.json", "run.mcap"}
+    assert {path.name for path in out.iterdir()} == {"events.txt", "fleet.toml", "metrics.json", "run.mcap"}
 
 
 @pytest.mark.parametrize(

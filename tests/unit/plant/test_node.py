@@ -10,13 +10,14 @@ import pytest
 from agent.common.time import NS_PER_S, MachineClock
 from agent.control.hand import Pose
 from agent.core import Agent
-from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.loading import digest, load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
+    ACTS_PERIODS,
     CHECK_TEXT_MIN,
     CHECKS_MAX,
     FUTURE_NS_MAX,
@@ -27,10 +28,12 @@ from agent.messages.types import (
     Mission,
     PlantState,
     Resume,
+    StatusText,
     Stop,
     Wrench,
 )
-from plant.backend import Check, Command, PlantBackend, Reading
+from deploy.console.data_files import FLEETS
+from plant.backend import COAST, Check, Command, PlantBackend, Reading, Said
 from plant.node import CHECKS_PERIOD_NS, PlantNode
 from plant.unicycle import from_fleet
 from tests.wire import opened, sealed
@@ -51,6 +54,7 @@ TRUTH_KEY = "two/robot/1/plant/truth"
 MISSION_KEY = "two/mission"
 STOP_KEY, RESUME_KEY, TOLD_KEY = "two/stop", "two/resume", "two/robot/1/told"
 CHECKS_KEY = "two/robot/1/plant/checks"
+TEXT_KEY = "two/robot/1/plant/statustext"
 REST = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -114,11 +118,38 @@ def state(node: PlantNode, now_ns: int) -> PlantState:
 def test_keys_and_ticks(node: PlantNode):
     assert node.subscriptions == (STOP_KEY, RESUME_KEY, TOLD_KEY, WRENCH_KEY, MISSION_KEY, "two/faults")
     links = "two/robot/1/plant/links"
-    assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, links, "two/robot/1/plant/faults")
+    faults = "two/robot/1/plant/faults"
+    assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, TEXT_KEY, links, faults)
     assert node.alive_keys == (key_expressions.alive("two", 1, "plant"),) == ("two/alive/robot/1/plant",)
     assert (node.period_ns, node.phase_ns) == (PERIOD, 0)
     agents = Agent(resolved(fleet()), 1).publications
     assert {*node.publications, *agents} == set(key_expressions.published("two", 1))  # what links let through
+
+
+class Speaking(Backend):
+    """A body that has something to say."""
+
+    def __init__(self, *said: Said) -> None:
+        super().__init__()
+        self.said = said
+
+    def status_texts(self) -> Sequence[Said]:
+        said, self.said = self.said, ()
+        return said
+
+
+def test_what_the_vehicle_says_is_passed_on_once(node: PlantNode) -> None:
+    assert not [key for key, _ in node.tick(T0) if key == TEXT_KEY]  # a simulated one says nothing
+    body = Speaking(Said("critical", "EKF failsafe"), Said("info", "x" * 2 * TEXT_MAX))
+    speaking = PlantNode(fleet(), 1, body)
+    first, second = (decode(payload) for key, payload in speaking.tick(T0) if key == TEXT_KEY)
+    assert first == StatusText(1, 0, T0, "critical", "EKF failsafe")
+    assert isinstance(second, StatusText)
+    assert (second.sequence, second.severity, len(second.text)) == (1, "info", TEXT_MAX)
+    assert not [key for key, _ in speaking.tick(T0 + PERIOD) if key == TEXT_KEY]
+    body.said = (Said("info", "armed"),)
+    (again,) = (decode(payload) for key, payload in speaking.tick(T0 + 2 * PERIOD) if key == TEXT_KEY)
+    assert again == StatusText(1, 2, T0 + 2 * PERIOD, "info", "armed")
 
 
 def test_brakes_until_it_has_a_wrench(node: PlantNode, backend: Backend):
@@ -150,8 +181,9 @@ def test_watchdog_brakes_when_the_wrench_is_stale_and_drives_when_a_fresh_one_co
     node: PlantNode, backend: Backend
 ):
     node.receive(T0, WRENCH_KEY, wrench(T0))
-    state(node, T0 + TIMEOUT)
-    assert backend.calls[-1].command == Command(3.0, 0.2)  # just in time
+    told = state(node, T0 + TIMEOUT)
+    assert backend.calls[-1].command is not None  # just in time
+    assert told.driving
     told = state(node, T0 + TIMEOUT + 1)
     assert backend.calls[-1].command is None
     assert not told.driving
@@ -164,6 +196,24 @@ def test_watchdog_brakes_when_the_wrench_is_stale_and_drives_when_a_fresh_one_co
     node.receive(T0 + NS_PER_S, WRENCH_KEY, wrench(T0 + NS_PER_S, force=1.0))
     assert state(node, T0 + NS_PER_S).driving
     assert backend.calls[-1].command == Command(1.0, 0.2)
+
+
+@pytest.mark.parametrize("step", [0, 1, 2])
+def test_a_wrench_acts_no_longer_than_twice_what_it_is_meant_to(
+    node: PlantNode, backend: Backend, step: int
+) -> None:
+    """Until a fresh one comes, or it brakes, the body goes on as it goes: a torque that acts on spins it."""
+    node._timeout_ns = NS_PER_S
+    acts = ACTS_PERIODS << step
+    for late in (0, 3):  # since it came, however late that was
+        begin_ns = T0 + late * NS_PER_S
+        node.receive(
+            begin_ns, WRENCH_KEY, encode(Wrench(1, 0, begin_ns - late * PERIOD, 3.0, 0.2, False, (), step))
+        )
+        for k in range(acts + 5):
+            told = state(node, begin_ns + k * PERIOD)
+            assert backend.calls[-1].command == (Command(3.0, 0.2) if k < acts else COAST)
+            assert told.driving
 
 
 def test_a_wrench_that_is_stale_when_it_comes_does_nothing(node: PlantNode, backend: Backend):
@@ -299,6 +349,73 @@ def test_old_leave_to_resume_is_refused(node: PlantNode, backend: Backend):
     node.receive(T0 + 1, RESUME_KEY, resume(6))
     assert backend.clearances == 1
     assert dict(node.rejected) == {"out_of_order": 1}
+
+
+@pytest.fixture
+def vehicle(backend: Backend) -> PlantNode:
+    """Of the bundled rovers, in its first tick at `T0`."""
+    made = PlantNode(ROVERS, 1, backend)
+    made.tick(T0)
+    return made
+
+
+ROVERS = resolved(load_fleet(FLEETS / "rovers.toml"))
+BEFORE, AFTER = T0 - NS_PER_S, T0 + NS_PER_S
+
+
+@pytest.mark.parametrize("key", ["rovers/mission", "rovers/robot/1/told"])
+def test_a_drive_that_began_before_its_process_is_no_leave_for_a_vehicle(
+    vehicle: PlantNode, backend: Backend, key: str
+):
+    """Its operator may have had it, and given it back, before anybody here looked."""
+
+    def said(version: int, time_ns: int, epoch_ns: int) -> bytes:
+        return encode(Mission(version, time_ns, epoch_ns, 60 * NS_PER_S, digest(ROVERS)))
+
+    vehicle.receive(AFTER, key, said(4, BEFORE, BEFORE))
+    vehicle.receive(AFTER, key, said(5, AFTER, BEFORE))  # changed since
+    vehicle.receive(AFTER, key, said(6, BEFORE, AFTER))  # said before, to begin then
+    assert backend.clearances == 0
+    vehicle.receive(AFTER, key, said(7, AFTER, AFTER + 1))
+    assert backend.clearances == 1
+    assert not vehicle.rejected
+
+
+@pytest.mark.parametrize("key", ["rovers/resume", "rovers/robot/1/told"])
+def test_a_resume_of_before_its_process_is_no_leave_for_a_vehicle(
+    vehicle: PlantNode, backend: Backend, key: str
+):
+    """An operator says it again to who has not heard it, and robots to each other."""
+
+    def said(version: int, time_ns: int) -> bytes:
+        return encode(Resume(version, time_ns, ()))
+
+    vehicle.receive(AFTER, "rovers/stop", encode(Stop(6, BEFORE, "a stop that was resumed")))
+    vehicle.receive(AFTER, key, said(7, BEFORE))
+    vehicle.receive(AFTER, key, said(7, BEFORE))
+    assert backend.clearances == 0
+    vehicle.receive(AFTER, "rovers/robot/1/plant/wrench", wrench(AFTER))
+    vehicle.tick(AFTER)
+    assert vehicle.condition == ("driving", ""), "it does end the stop of then"
+    vehicle.receive(AFTER, key, said(8, AFTER))
+    assert backend.clearances == 1
+    assert not vehicle.rejected
+
+
+def test_of_a_body_that_its_operator_has_it_says_so_but_of_a_stop_first(node: PlantNode, backend: Backend):
+    backend.obeying, backend.note = False, "its operator has it: mode HOLD"
+    node.receive(T0, WRENCH_KEY, wrench(T0, brake=True))
+    state(node, T0)
+    assert node.condition == ("released", "its operator has it: mode HOLD")
+    node.receive(T0, STOP_KEY, stop(3, "lunch"))
+    state(node, T0 + PERIOD)
+    assert node.condition == ("braking", "stop: lunch")
+
+
+def test_a_simulated_body_takes_up_a_drive_that_goes_on(node: PlantNode, backend: Backend):
+    node.tick(T0 + 9 * NS_PER_S)
+    node.receive(T0 + 9 * NS_PER_S, MISSION_KEY, mission(4))
+    assert backend.clearances == 1
 
 
 def stop(version: int, reason: str = "") -> bytes:

@@ -15,6 +15,7 @@ from agent.control.hand import Pose, advance
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
+from agent.messages.types import ACTS_PERIODS
 from plant import unicycle
 from plant.backend import Command, Reading
 from plant.unicycle import Actuator, Unicycle, from_fleet, integrate
@@ -218,6 +219,16 @@ def test_a_brake_holds_although_its_process_was_frozen(gap_s: float):
     pose = plant.step(now, None).pose
     assert -1e-9 < pose.speed <= 1.0
     assert -1e-9 < pose.yaw_rate <= 1.0
+
+
+@pytest.mark.parametrize("gap_s", [0.15, 0.4, 0.9])
+def test_a_body_whose_process_was_frozen_was_pushed_for_two_periods_and_went_on(gap_s: float):
+    body = Unicycle(BODY, PERIOD_S, timeout_s=1.0)
+    body.step(0, Command(20.0, 0.3))
+    pose = body.step(round(gap_s * NS_PER_S), Command(20.0, 0.3)).pose
+    pushed_s = min(gap_s, ACTS_PERIODS * PERIOD_S)
+    assert pose.speed == pytest.approx(20.0 / MASS * pushed_s)
+    assert pose.yaw_rate == pytest.approx(0.3 / INERTIA * pushed_s)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX, stood_on
 from agent.control.peers.lanes import Run
+from agent.control.peers.rolling import rolled
 from agent.control.safety_distances import barrier_rate
 from agent.control.safety_filter import SEPARATION, STANDING, UNSURE, HalfPlane, project
 from agent.fleet.loading import parse_fleet
@@ -23,6 +25,10 @@ FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 5, y_m = 5 }, { id = 3, x_m = 0, y_m = 5 }]
 fleet = { name = "three" }
 formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 9]], safe_distance_m = 0.2 }
+"""
+ROVERS = f"""{FLEET}
+datum = {{ latitude_deg = 50.0, longitude_deg = 8.0 }}
+robot_defaults = {{ plant = "mavlink", mavlink = {{ connection = "simulator" }} }}
 """
 
 
@@ -60,16 +66,21 @@ class Robot:
 
 
 @pytest.mark.parametrize(
-    ("follows", "doubt", "rank"),
+    ("follows", "doubt", "rank", "text"),
     [
-        (True, 0.0, SEPARATION),
-        (True, DOUBT_MAX, UNSURE),
-        (False, 0.0, STANDING),
-        (False, DOUBT_MAX, STANDING),
+        (True, 0.0, SEPARATION, FLEET),
+        (True, DOUBT_MAX, UNSURE, FLEET),
+        (False, 0.0, STANDING, FLEET),
+        (False, DOUBT_MAX, STANDING, FLEET),
+        (False, 1.5, STANDING, FLEET),
+        (False, DOUBT_MAX, STANDING, ROVERS),
+        (False, 1.5, UNSURE, ROVERS),
     ],
 )
-def test_who_stands_comes_first_and_who_may_be_anywhere_last(follows: bool, doubt: float, rank: int) -> None:
-    scene = Robot(0.4, follows=follows, doubt=doubt).scene(T0 + S // 10)
+def test_who_stands_comes_first_and_who_may_be_anywhere_last(
+    follows: bool, doubt: float, rank: int, text: str
+) -> None:
+    scene = Robot(0.4, follows=follows, doubt=doubt, text=text).scene(T0 + S // 10)
     (plane,) = (each for each in scene.planes if each.cause == "robot 3")
     assert plane.rank == rank
 
@@ -87,6 +98,36 @@ def test_beside_the_way_of_a_silent_robot_it_may_drive_off_it_however_long_that_
     assert [each[:3] for each in scene.within] == [(1.0, pytest.approx(0.0), "robot 3")]
     assert (not scene.stops) is let
     assert all(plane.least <= 0.0 for plane in scene.planes) is let
+
+
+@pytest.mark.parametrize(("since_s", "flees"), [(1.0, False), (2.4, True), (2.9, True), (3.7, False)])
+def test_from_where_a_vehicle_rolls_that_nobody_hears_it_gets_away_and_not_only_stops(
+    since_s: float, flees: bool
+) -> None:
+    """It comes at robot 1, turning, with nobody to brake it, until its own watchdog does."""
+    robot = Robot(3.0, coming=1.0, text=ROVERS)
+    heading, speed, yaw_rate = 2.7, 1.0, 0.3
+    peer = robot.peers.get(3)
+    assert peer.message is not None
+    peer.message = peer.message._replace(obeys=((heading, speed, yaw_rate),))
+    there = rolled(peer.message.x, peer.message.y, (heading, speed, yaw_rate), 0.1, since_s)
+    planes = [each for each in robot.scene(T0 + round(since_s * S)).planes if each.cause == "robot 3"]
+    away = -there.x + 0.1, -there.y
+    pushes = [each for each in planes if each.rank == UNSURE and each.least > 0.0]
+    assert bool(pushes) is flees
+    if flees:
+        (plane,) = pushes
+        assert plane.nx == pytest.approx(away[0] / hypot(*away), abs=1e-6)
+
+
+@pytest.mark.parametrize(("text", "seen"), [(FLEET, False), (ROVERS, True)])
+def test_one_that_may_have_rolled_near_is_kept_from_though_it_says_a_place_far_away(
+    text: str, seen: bool
+) -> None:
+    robot = Robot(3.5, follows=False, doubt=3.0, text=text)
+    assert robot.proximity.sensing < 3.5
+    planes = [each for each in robot.scene(T0 + S // 10, 0.3).planes if each.cause == "robot 3"]
+    assert bool(planes) is seen
 
 
 LATE_NS = S // 2

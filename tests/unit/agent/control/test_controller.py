@@ -14,9 +14,12 @@ from agent.control.peers.prediction import BRAKING_TIME_S
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.formation.geometry import resolve
-from agent.messages.types import NEIGHBOURS_MAX, HandState, PlantState
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import ACTS_PERIODS, NEIGHBOURS_MAX, HandState, PlantState, Wrench
 from deploy.console.arguments import fleet_path
 from plant.backend import Command
+from plant.node import PlantNode
 from plant.unicycle import from_fleet
 
 S = 1_000_000_000
@@ -87,6 +90,25 @@ def test_a_body_that_brakes_is_carried_on_until_it_stands(
     stands = controller._pose_at(state, T0 + 5 * S)
     assert max(map(abs, stands[3:])) < 1e-9
     assert hypot(stands.x, stands.y) <= abs(speed) * (BRAKING_TIME_S + period_ns / S) + 1e-9
+
+
+@pytest.mark.parametrize("step", [0, 1])
+def test_a_wrench_that_is_not_followed_by_another_acts_on_the_own_body_as_on_its_plants(step: int) -> None:
+    fleet = load_fleet(fleet_path("delta"), ["control.wrench_timeout_s=1"])
+    controller, plant = Controller(fleet, resolve(fleet), 1), PlantNode(fleet, 1, from_fleet(fleet, 1))
+    period_ns = fleet.period_ns
+    controller.keep_pace(period_ns << step, 1.0)
+    controller.sent(T0 - 1, (3.0, 0.1))
+    wrench = encode(Wrench(1, 0, T0 - 1, 3.0, 0.1, False, (), step))
+    plant.receive(T0 - 1, key_expressions.wrench(fleet.fleet.name, 1), wrench)
+    told = []
+    for k in range((ACTS_PERIODS << step) + 6):
+        told.append(decode(plant.tick(T0 + k * period_ns)[0][1]))
+    for before in told:
+        assert isinstance(before, PlantState)
+        for after in told[told.index(before) + 1 :]:
+            assert isinstance(after, PlantState)
+            assert tuple(controller._pose_at(before, after.time_ns)) == pytest.approx(after[3:8], abs=1e-9)
 
 
 def test_no_more_multipliers_are_told_than_a_message_holds():
@@ -206,6 +228,34 @@ def test_those_near_are_looked_for_a_few_times_a_second():
     alone.look(T0)
     given(alone, 3, 0.5, follows=True)
     assert not alone.look_round(T0, here, (2,))
+
+
+FAR = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 0, y_m = 9 }]
+fleet = { name = "far", rate_hz = 20 }
+formation = { edges = [[1, 2]], offsets = [[8, 0], [8, 9]], safe_distance_m = 0.3, assign = false }
+control = { max_acceleration = 0.8, max_speed_mps = 0.9, c1 = 0.4, c2 = 0.6, wrench_timeout_s = 0.25 }
+"""
+
+
+@pytest.mark.parametrize(("share", "still"), [(1.0, True), (1.0, False), (0.5, False)])
+def test_far_from_its_place_a_robot_uses_what_acceleration_it_has(share: float, still: bool):
+    """It brakes at 0.9 1/s (F4), and need not come to its speed that slowly, nor be pulled as softly."""
+    fleet = parse_fleet(FAR, source="here")
+    controller = Controller(fleet, resolve(fleet), 1)
+    controller.keep_pace(fleet.period_ns, share)
+    assert controller.peers.forecast.speeding == 3.0
+    controller.look(T0)
+    speed = 0.0 if still else 0.6 * share
+    plant = PlantState(1, 0, T0, *[0.0] * 3, speed, 0.0, 0.0, 0.0, True, True, True, "")
+    drive = controller.drive(plant, T0)
+    asked = sum(drive.forces[::2])
+    aimed = 0.9 * share  # m/s
+    carried = hand(Pose(0.0, 0.0, 0.0, speed, 0.0), fleet.robot(1).hand_offset_m).vx
+    assert drive.navigation_x == pytest.approx(2.0 * 0.6 * (aimed - carried), rel=0.05)
+    assert asked == pytest.approx(min(0.8, drive.navigation_x), rel=0.05)
+    controller.keep_pace(4 * fleet.period_ns, share)
+    assert controller.peers.forecast.speeding == pytest.approx(1.25)  # what 5 Hz carry
 
 
 @pytest.mark.parametrize("speed", [0.3, 0.0, -0.3])

@@ -136,6 +136,32 @@ def test_round_a_robot_it_leaves_as_soon_as_the_direct_way_is_free():
     assert run(detour, FREE_S + PERIOD, [beside]) is None
 
 
+DEAD, BESIDE_DEAD = WALL._replace(name="robot 7", body=True), SOUTH_WALL._replace(name="robot 7", body=True)
+
+
+def test_round_one_that_stands_for_good_it_leaves_as_soon_as_the_direct_way_is_free():
+    """Its place goes on: who has overtaken that has turned by half a circle, and would turn one more."""
+    detour = blocked([DEAD])
+    run(detour, 1.0, [DEAD, BESIDE_DEAD])
+    run(detour, FREE_S + PERIOD, [BESIDE_DEAD])
+    assert not detour.round
+
+
+@pytest.mark.parametrize("other", [SOUTH_WALL, BESIDE_DEAD._replace(name="robot 8")])
+def test_two_that_stand_may_be_a_trap(other: Blocker):
+    detour = blocked([DEAD])
+    run(detour, 1.0, [DEAD, other])
+    run(detour, FREE_S + 1.0, [other])
+    assert detour.round
+    run(detour, 4.0, [])
+    again = blocked([WALL])
+    assert again.round
+    run(detour, 5.0, [DEAD])  # what it met the last time does not count
+    run(detour, 1.0, [DEAD, BESIDE_DEAD])
+    run(detour, FREE_S + PERIOD, [BESIDE_DEAD])
+    assert not detour.round
+
+
 @pytest.mark.parametrize(("rightwards", "side"), [(0.0, -1.0), (0.4, -1.0), (0.9, 1.0), (-0.9, -1.0)])
 def test_robots_keep_to_the_right_of_each_other_unless_one_is_well_beside(rightwards, side):
     other = Blocker(-((1.0 - rightwards**2) ** 0.5), rightwards, "robot 7", False)

@@ -8,6 +8,7 @@ import pytest
 
 from agent.control.event_trigger import HEARD_OFF_US, LOOKAHEAD_S, EventTrigger
 from agent.control.peers.forecast import Forecast
+from agent.control.peers.rolling import Rolls
 from agent.formation.trajectory import Sample
 from agent.messages.types import HEARD_ROUNDS, HandState
 
@@ -50,6 +51,32 @@ def test_one_that_says_nothing_new_is_repeated_after_intervals_that_double_up_to
     assert sent(rule, range(60)) == [
         (0, 1), (1, 2), (3, 4), (7, 8), (15, 12), (27, 12), (39, 12), (51, 12),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("heading", "is_news"), [(0.0, False), (0.05, False), (0.2, True), (-0.2, True), (None, True)]
+)
+def test_where_its_body_would_roll_to_is_news_once_it_is_elsewhere(
+    heading: float | None, is_news: bool
+) -> None:
+    """A vehicle that turns away from where nobody expects it to turn away."""
+    speed, rolls = 0.5, Rolls(3.5, 0.4)
+    rule = EventTrigger(
+        Forecast(0.4, 0.6, standing, 0.9, None, rolls_on={1: rolls}),
+        PERIOD,
+        BOUND,
+        MOST * PERIOD,
+        predicts=False,
+        slopes=lambda: {2: SLOPE},
+    )
+
+    def said(rounds: int, heading: float | None) -> int | None:
+        obeys = () if heading is None else ((heading, speed, 0.0),)
+        return rule.next_ms(state(rounds, x=0.0, obeys=obeys), rounds * PERIOD)
+
+    for rounds in range(28):
+        said(rounds, 0.0)
+    assert (said(28, heading) is not None) == is_news
 
 
 def settled() -> EventTrigger:

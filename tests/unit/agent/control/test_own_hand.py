@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import cos, hypot, inf, sin
 
 import pytest
 
@@ -10,12 +10,14 @@ from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.own_hand import LAST_PLACE_NS, OwnHand
 from agent.control.peers.prediction import BRAKING_TIME_S
+from agent.control.peers.rolling import LEADS_S, ROLL_ERROR, Rolls
 from agent.formation.geometry import resolve
 from agent.messages.types import PlantState
 from tests.unit.agent.agent_bench import START, fleet
 
 SPEED = 1.0
 REACH = 0.1
+ROLLS_S = 3.5
 
 
 def own_hand() -> OwnHand:
@@ -60,3 +62,60 @@ def test_once_it_is_lost_the_doubt_covers_who_stopped_at_once_and_who_drove_on_a
     assert own.shown.vx == pytest.approx(0.0, abs=0.02)
     own.lost(START + NS_PER_S // 10 + LAST_PLACE_NS + 1)
     assert own.shown is None
+
+
+def rolling() -> OwnHand:
+    made = fleet()
+    return OwnHand(Controller(made, resolve(made), 1), Rolls(ROLLS_S, REACH))
+
+
+def test_of_a_body_that_rolls_on_all_of_its_way_is_told_at_once_for_as_long_as_it_may_roll():
+    """A vehicle obeys its last setpoint for some seconds: nobody can brake it."""
+    own = rolling()
+    own.measured(START, plant())
+    assert own.obeys == ((0.0, SPEED, 0.0),)
+    told = []
+    rolls_ns = round(ROLLS_S * NS_PER_S)
+    for later_ns in (NS_PER_S // 5, NS_PER_S, rolls_ns, rolls_ns + LAST_PLACE_NS):
+        own.lost(START + later_ns)
+        assert own.shown is not None
+        assert own.shown.x - own.doubt == pytest.approx(REACH - ROLL_ERROR)
+        assert own.shown.x + own.doubt == pytest.approx(REACH + SPEED * ROLLS_S + ROLL_ERROR)
+        assert (own.shown.vx, own.shown.vy) == (0.0, 0.0)
+        assert own.obeys == (), "what it tells has all of its way in it"
+        told.append((own.shown, own.doubt))
+    assert told == told[:1] * 4
+    own.lost(START + rolls_ns + LAST_PLACE_NS + 1)
+    assert own.shown is None
+
+
+def test_a_body_that_stands_does_not_roll():
+    own = rolling()
+    own.measured(START, plant(speed=0.02))
+    assert own.obeys == ()
+    own.lost(START + NS_PER_S // 5)
+    assert own.doubt < 0.01
+    own.lost(START + LAST_PLACE_NS + 1)
+    assert own.shown is None
+
+
+@pytest.mark.parametrize("yaw_rate", [-0.8, 0.0, 0.5])
+def test_it_rolls_on_the_arc_that_its_last_setpoint_leads_to(yaw_rate: float) -> None:
+    """It obeys the speed and yaw rate that what acted on it had begun to give it."""
+    own, made = rolling(), fleet()
+    body = made.robot(1)
+    force, torque = 0.8 * body.mass_kg, 1.0 * body.inertia_kgm2
+    own.measured(START, plant()._replace(yaw_rate=yaw_rate, force=force, torque=torque))
+    own.lost(START + NS_PER_S // 5)
+    assert own.shown is not None
+    speed, turning = SPEED + LEADS_S[0] * 0.8, yaw_rate + LEADS_S[1] * 1.0
+    radius, turned = speed / turning, turning * ROLLS_S
+    x = radius * sin(turned) + REACH * cos(turned)
+    y = radius * (1.0 - cos(turned)) + REACH * sin(turned)
+    assert hypot(x - own.shown.x, y - own.shown.y) <= own.doubt - ROLL_ERROR + 1e-6
+
+
+def test_an_ordinary_body_says_nothing_of_rolling():
+    own = own_hand()
+    own.measured(START, plant())
+    assert own.obeys == ()

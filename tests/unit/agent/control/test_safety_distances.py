@@ -18,6 +18,7 @@ from agent.control.safety_distances import (
     least_apart,
     sensing_distance,
     speed_max,
+    speeding_rate,
 )
 from agent.control.safety_filter import keep_apart
 from agent.fleet.model import Fleet
@@ -102,6 +103,13 @@ def test_the_rate_of_the_barrier_and_accelerations_are_what_the_loop_can_carry()
     assert barrier_rate(at(2, "avoidance.barrier_rate=3")) == 3.0
     assert [acceleration_max(at(rate_hz)) for rate_hz in (100, 7, 4, 1)] == [5.0, 5.0, 3.0, 0.75]
     assert acceleration_max(at(4, "avoidance.enabled=false")) == 5.0
+
+
+def test_robots_come_to_their_speed_as_fast_as_the_loop_carries_however_slowly_they_brake() -> None:
+    slow = ("control.max_acceleration=0.8", "control.max_speed_mps=1.0", "avoidance.barrier_rate=0.5")
+    assert speeding_rate(small()) == speeding_rate(small(*slow)) == 3.0
+    assert speeding_rate(small(*slow, "control.rate_min_hz=5")) == pytest.approx(1.5)
+    assert speeding_rate(small("avoidance.barrier_rate=3.5")) == 3.5
 
 
 def test_who_is_near_is_listened_to_in_time_to_brake() -> None:

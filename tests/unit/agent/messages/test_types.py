@@ -47,6 +47,7 @@ from agent.messages.types import (
     PlantState,
     Resume,
     Status,
+    StatusText,
     Stop,
     Wrench,
     clipped,
@@ -95,11 +96,13 @@ SILENT = (
 BEACON = Beacon(3, 14, 10**18, True, 1.5, -2.0, 0.25, -0.125, 0.5, 2, 7, 6, -1, SILENT, (4, 5, 9999))
 HEARTBEAT = Heartbeat(10**18, "Ada@bench")
 ASK = Ask(10**18, "Ada@bench")
+TEXT = StatusText(3, 15, 10**18, "critical", "EKF failsafe")
 CHECKS = Checks(3, 13, 10**18, (LINE, ("mode", "blocking", "MANUAL", "set GUIDED"), ("link", "ok", "", "")))
 MESSAGES = [
     HAND, PLANT, WRENCH, MISSION, STOP, STATUS, FAULTS, TRACE, EVENT, RESUME, CHECKS, BEACON, HEARTBEAT, ASK,
+    TEXT,
 ]  # fmt: skip
-LEFT_OUT = {HandState: 3, Wrench: 1, Status: 1, Beacon: 3}
+LEFT_OUT = {HandState: 4, Wrench: 2, Status: 1, Beacon: 4}
 NUMBER = {type(message): number for number, message in enumerate(MESSAGES)}
 
 
@@ -147,6 +150,8 @@ def test_of_fields_that_may_be_left_out_those_go_before_one_that_is_not():
         HAND._replace(own=(1.5,), next_ms=60_000),
         HAND._replace(stood_ms=1500),
         BEACON._replace(stood_ms=60_000),
+        HAND._replace(obeys=((0.5, -0.25, 1.5),)),
+        BEACON._replace(rolling=((3, 0.5, 0.25, -1.0), (9999, 6.0, -0.5, 0.0))),
     ):
         assert decode(encode(told)) == told
     sent = [len(encode(message)) for message in (HAND, HAND._replace(own=(1.5,)), HAND._replace(next_ms=1))]

@@ -8,7 +8,7 @@ from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice
 from agent.messages.codec import decode
 from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Wrench
+from agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Setpoint, Wrench
 from agent.supervision.outbox import Outbox
 from agent.supervision.stop_latch import StopLatch
 from tests.unit.agent.agent_bench import BEACON, HAND, PERIOD, START, WRENCH, fleet
@@ -56,6 +56,25 @@ def test_a_hand_state_holds_what_it_is_given():
     assert (hand.multipliers, hand.own) == (((2, 0.5),), (7.0,))
 
 
+def test_both_say_what_a_body_goes_on_by_that_nothing_commands_any_more():
+    obeys = (Setpoint(0.5, 0.8, -0.25),)
+    box = outbox()
+    [(_, payload)] = box.hand(TICK, HERE, 0.0, following=True, obeys=obeys)
+    hand = decode(payload)
+    assert isinstance(hand, HandState)
+    assert hand.obeys == obeys
+    said = [
+        decode(payload)
+        for rounds in range(20)
+        for _, payload in box.beacon(TICK + rounds * PERIOD, HERE, 0.0, following=True, obeys=obeys)
+    ]
+    assert said
+    for beacon in said:
+        assert isinstance(beacon, Beacon)
+        assert beacon.obeys(1) == obeys
+        assert beacon.obeys(2) == ()
+
+
 def test_a_wrench_brakes_or_asks():
     box = outbox()
     asked, brake = decode(box.wrench(TICK, 3.0, -1.0)[1]), decode(box.wrench(TICK + PERIOD, brake=True)[1])
@@ -77,6 +96,9 @@ def test_at_a_lower_rate_it_says_when_the_next_hand_state_comes_and_beacons_go_o
     box = outbox()
     box.begin(START)
     box.keep_pace(4 * PERIOD)
+    asked = decode(box.wrench(TICK, 3.0, 1.0)[1])
+    assert isinstance(asked, Wrench)
+    assert asked.step == 2
     box.overload = 2
     beacons = []
     for rounds in range(0, 200, 4):

@@ -234,14 +234,22 @@ def test_a_body_that_is_given_back_waits_for_its_neighbours():
     assert step(State.RELEASED, silent._replace(body="mode MANUAL"))[0] is State.RELEASED
 
 
-def test_a_body_that_was_never_handed_over_is_waited_for():
-    """Also in mid-mission: an agent that starts again then does not know that there was a drive."""
-    for started, mission in product((False, True), ("", "for a mission")):
-        conditions = RELEASED._replace(started=started, mission=mission)
+def test_a_body_that_was_not_handed_over_before_a_drive_is_waited_for():
+    for mission in ("", "for a mission"):
+        conditions = RELEASED._replace(started=False, mission=mission)
         for state in (State.WAITING, State.READY):
             after, row = step(state, conditions)
             assert (after, row.reason(conditions)) == (State.WAITING, "mode MANUAL")
     assert step(State.WAITING, WELL)[0] is State.RUNNING
+
+
+def test_a_body_that_is_not_handed_over_in_a_drive_is_released():
+    """Whose agent has just started, too, but not before it has heard who is near."""
+    for state in (State.WAITING, State.READY):
+        after, row = step(state, RELEASED)
+        assert (after, row.reason(RELEASED)) == (State.RELEASED, "mode MANUAL")
+        assert step(state, RELEASED._replace(neighbours="hears who is near"))[0] is State.WAITING
+        assert step(state, RELEASED._replace(plant="no plant"))[0] is State.WAITING
 
 
 def test_of_a_released_robot_more_than_its_body_may_be_wrong():
@@ -263,13 +271,13 @@ def test_a_stop_while_released_lasts_although_the_operator_drives_on():
     assert settled(State.RELEASED, stop) is State.STOPPING
     assert settled(State.STOPPING, stop._replace(at_rest=True)) is State.STOPPED
     assert step(State.STOPPED, WELL._replace(stop="stop: lunch"))[0] is State.STOPPED
-    assert settled(State.STOPPED, RELEASED) is State.WAITING
+    assert settled(State.STOPPED, RELEASED) is State.RELEASED
     assert settled(State.STOPPED, WELL) is State.RUNNING
 
 
 def test_a_body_that_is_lost_while_released_is_released_again_when_it_is_back():
     assert step(State.RELEASED, RELEASED._replace(plant="plant silent"))[0] is State.FAULT
-    assert settled(State.FAULT, RELEASED) is State.WAITING
+    assert settled(State.FAULT, RELEASED) is State.RELEASED
     assert settled(State.FAULT, WELL) is State.RUNNING
 
 

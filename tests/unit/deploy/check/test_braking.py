@@ -44,6 +44,14 @@ def test_a_rate_that_is_given_and_too_high() -> None:
     assert found(small(*SLOW, "avoidance.barrier_rate=2", "avoidance.enabled=false")) == {}
 
 
+def test_a_body_that_goes_on_for_long_without_its_agent() -> None:
+    long = found(small("control.wrench_timeout_s=1"))["control.wrench_timeout_s"]
+    assert "1 s: for so long a body goes on as it last went while its agent is late" in long.message
+    assert "leaves room for 0.67 s" in long.message
+    assert "take 0.666 s or less" in long.message
+    assert found(small("control.wrench_timeout_s=0.666")) == {}
+
+
 def test_a_rate_that_the_loop_cannot_carry() -> None:
     def at(rate: float) -> Finding | None:
         fleet = small("control.max_acceleration=50", "fleet.rate_hz=10", f"avoidance.barrier_rate={rate}")

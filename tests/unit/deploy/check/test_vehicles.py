@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
+from agent.formation.geometry import resolve
 from deploy.check.check import check
 from deploy.check.description import describe
 from deploy.check.finding import Finding
@@ -17,18 +20,36 @@ def rovers(*overrides: str) -> Fleet:
     return load_fleet(FLEETS / "rovers.toml", overrides)
 
 
+def of_vehicles(fleet: Fleet) -> list[Finding]:
+    return check_vehicles(fleet, resolve(fleet))
+
+
 def found(*overrides: str) -> dict[str, Finding]:
-    findings = check_vehicles(rovers(*overrides))
+    findings = [each for each in of_vehicles(rovers(*overrides)) if each.level != "info"]
     assert len({finding.place for finding in findings}) == len(findings)
     return {finding.place: finding for finding in findings}
 
 
 def test_the_bundled_fleet_is_sound() -> None:
-    assert check_vehicles(rovers()) == []
-    assert check(rovers()) == []
-    assert check_vehicles(load_fleet(FLEETS / "delta.toml")) == []
+    rolls = ("info", "control.max_speed_mps")
+    assert [(each.level, each.place) for each in of_vehicles(rovers())] == [rolls]
+    # Far from their places robots ask for more than they have, and all of it is used.
+    asks = ("info", "control.max_acceleration")
+    assert {(each.level, each.place) for each in check(rovers())} == {rolls, asks}
+    assert of_vehicles(load_fleet(FLEETS / "delta.toml")) == []
     # What a robot has of the table for all, and is none.
-    assert check_vehicles(rovers("robot.6.plant=unicycle", "robot.6.mavlink.arm=true")) == []
+    mixed = of_vehicles(rovers("robot.6.plant=unicycle", "robot.6.mavlink.arm=true"))
+    assert [(each.level, each.place) for each in mixed] == [rolls]
+
+
+def test_how_far_one_rolls_that_nothing_commands_is_said_where_others_are_nearer() -> None:
+    (rolls,) = of_vehicles(rovers())
+    assert "goes on for 3 s by itself, up to 3.1 m at 0.9 m/s" in rolls.message
+    assert "nearer than 4.2 m may not get out of it in time, and edges are 3 m" in rolls.message
+    assert found("control.max_speed_mps=0.5", "formation.safe_distance_m=1.0") == {}
+    fleet = rovers()
+    by_offsets = replace(fleet, formation=replace(fleet.formation, distance_m=None))
+    assert of_vehicles(by_offsets) == [rolls], "though the file leaves the lengths to the places"
 
 
 @pytest.mark.parametrize(
@@ -101,7 +122,7 @@ def test_two_vehicles_that_are_waited_for_on_one_port_are_an_error() -> None:
     fleet = rovers(
         "robot.3.mavlink.connection=udpin:0.0.0.0:14550", "robot.5.mavlink.connection=udpin:10.0.0.1:14550"
     )
-    (finding,) = [finding for finding in check_vehicles(fleet) if finding.level == "error"]
+    (finding,) = [finding for finding in of_vehicles(fleet) if finding.level == "error"]
     assert (finding.place, "robot 3" in finding.message) == ("robot[5].mavlink.connection", True)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agent.messages.types import Mission, Resume, Stop
-from deploy.drive.news import CHANGED, ORDERED, SENTENCES_MAX, Happening, News
+from deploy.drive.news import AGAIN_NS, CHANGED, ORDERED, SENTENCES_MAX, Happening, News
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square("fleet.duration_s=60")
@@ -28,6 +28,17 @@ def test_a_start_and_an_end_are_no_news() -> None:
     for state in ("stopping", "stopped"):
         made.state(1, state, "the mission is over")
         assert made.sentences(60.1) == []
+
+
+def test_what_a_vehicle_says_again_and_again_is_told_once() -> None:
+    made = news()
+    for second in range(5):
+        made.said(3, "its vehicle says (warning): low battery", EPOCH + 10 * second * S)
+    made.said(4, "its vehicle says (warning): low battery", EPOCH)
+    text = "its vehicle says (warning): low battery"
+    assert made.sentences(3.0) == [f"3.0 s: robot 3: {text}", f"3.0 s: robot 4: {text}"]
+    made.said(3, text, EPOCH + 40 * S + AGAIN_NS + 1)
+    assert made.sentences(80.0) == [f"80.0 s: robot 3: {text}"]
 
 
 def test_orders_are_told_once_with_what_they_change() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from agent.messages import key_expressions
-from agent.messages.types import Event, Resume, Status, Stop
+from agent.messages.types import Event, Resume, Status, StatusText, Stop
 from deploy.playback import marks as module
-from deploy.playback.marks import FAULT, ORDER, STATE, VIOLATION, Mark, marks
+from deploy.playback.marks import FAULT, ORDER, STATE, VEHICLE, VIOLATION, Mark, marks
 from deploy.recording.collector import RunData
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
@@ -45,6 +45,17 @@ def test_what_was_done_to_processes_is_marked() -> None:
     at = EPOCH_NS + 1_500_000_000
     found = with_more((at, key_expressions.events(NAME), Event(3, 0, at, "agent", "kill", "crash")))
     assert Mark(1.5, None, FAULT, "agent 3 killed", (3,)) in found
+
+
+def test_what_a_vehicle_says_itself_is_marked() -> None:
+    at = EPOCH_NS + 1_500_000_000
+    key = key_expressions.status_texts(NAME, 2)
+    found = with_more(
+        (at, key, StatusText(2, 0, at, "critical", "EKF failsafe")),
+        (at, key, StatusText(3, 0, at, "critical", "of another robot")),
+    )
+    said = "the vehicle of robot 2 says (critical): EKF failsafe"
+    assert [mark for mark in found if mark.kind == VEHICLE] == [Mark(1.5, None, VEHICLE, said, (2,))]
 
 
 def test_each_time_of_a_rule_is_marked() -> None:

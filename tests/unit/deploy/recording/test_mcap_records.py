@@ -154,6 +154,7 @@ SETTINGS = settings(
 @SETTINGS
 @DAMAGE
 @example(where=0.0, length=1, how="other", killed=False)
+@example(where=0.0625, length=1, how="zero", killed=False)  # a schema of what later chunks introduce
 @example(where=0.0, length=4096, how="zero", killed=False)
 @example(where=0.0, length=4096, how="zero", killed=True)
 def test_all_is_read_but_the_chunks_that_are_damaged(

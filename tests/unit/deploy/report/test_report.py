@@ -266,7 +266,8 @@ def test_a_truncated_recording_is_reported_with_a_note(tmp_path: Path) -> None:
     content = (tmp_path / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(content[: len(content) // 2])
     found = rebuild(tmp_path).metrics
-    assert any(reason.startswith("The run ended after") for reason in found["verdict"]["reasons"])
+    (reason,) = found["verdict"]["reasons"]
+    assert reason.startswith("The recording is damaged: run.mcap ends at ")
     assert "is cut short or damaged" in Page((tmp_path / "report.html").read_text()).text
 
 

@@ -17,7 +17,7 @@ from deploy.report.run_folder import RunFolder, rebuild
 from deploy.verdict import metrics
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages
 
-COMPLETE = {"fleet.toml", "metrics.json", "run.mcap"}
+COMPLETE = {"events.txt", "fleet.toml", "metrics.json", "run.mcap"}
 PAIR = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)])
 
 

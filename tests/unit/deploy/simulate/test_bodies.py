@@ -11,7 +11,8 @@ from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages.codec import decode
-from agent.messages.types import Checks, Message, PlantState
+from agent.messages.types import Checks, Message, PlantState, Status
+from bridges.mavlink.bridge.backend import BEGUN_LATE
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from deploy.console.data_files import FLEETS
 from deploy.simulate.bodies import Bodies
@@ -69,7 +70,7 @@ def test_a_rover_goes_on_with_a_bridge_that_knows_nothing(mixed: Fleet) -> None:
     assert again.plant is not body.plant
 
 
-def test_unicycle_and_rover_drive_together_through_a_restart_of_the_bridge(mixed: Fleet) -> None:
+def test_unicycle_and_rover_drive_together_until_a_restart_of_the_bridge(mixed: Fleet) -> None:
     heard: list[Message] = []
     simulation = Simulation(mixed, lambda now_ns, key, payload: heard.append(decode(payload)))
     simulation.run()
@@ -84,4 +85,6 @@ def test_unicycle_and_rover_drive_together_through_a_restart_of_the_bridge(mixed
     assert not since[0].healthy, "the new bridge has heard nothing of its vehicle yet"
     known = next(message for message in since if message.healthy)
     assert abs(known.x - 3.0) + abs(known.y) < 3.0
-    assert any(message.driving for message in since)
+    assert not any(message.driving for message in since), "its operator may have had it"
+    told = [message for message in heard if type(message) is Status and message.robot == 2]
+    assert any(message.reason == BEGUN_LATE for message in told)

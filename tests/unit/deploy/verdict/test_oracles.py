@@ -587,6 +587,8 @@ def test_recovery_counts_from_the_last_change_and_leave_to_resume() -> None:
         assert bool(found("recovery", LONG, *late, extra=orders, change=stands)) == fires
         events = [event(0.5, 2, "agent", "kill"), event(t, 2, "agent", "start")]
         assert bool(found("recovery", LONG, *late, extra=events, change=braking(2, 0.5, t))) == fires
+        taken = both(saying(2, "released", 0.4, t), braking(2, 0.4, t))
+        assert bool(found("recovery", LONG, *late, change=taken)) == fires
 
 
 def test_recovery_beside_what_fails_all_the_time() -> None:
@@ -624,7 +626,8 @@ def test_recovery_of_robots() -> None:
     assert found("recovery", FAULTY, change=saying(2, "holding", 2.0, 22.0)) == []
     (sentence,) = found("recovery", FAULTY, change=saying(2, "holding", 2.0, 25.1)) or []
     assert sentence.startswith("Robot 2 did not drive at 23.0 s but was holding: the last fault")
-    assert found("recovery", FAULTY, change=saying(2, "released", 2.0, 25.0)) == []
+    assert found("recovery", FAULTY, change=saying(2, "released", 2.0, 40.0)) == []
+    assert found("recovery", FAULTY, change=saying(2, "released", 2.0, 9.0)) == []
     assert found("recovery", FAULTY, change=saying(2, "degraded", 2.0, 25.0)) == []
     lost = [event(2.5, 2, "agent", "kill")]
     assert (

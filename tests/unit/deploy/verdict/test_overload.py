@@ -46,6 +46,16 @@ def test_skipped_ticks_are_the_machines_and_fail_nothing() -> None:
     assert warnings(late(3)) == []
 
 
+def test_a_machine_whose_robots_say_how_many_ticks_they_skipped_but_not_of_one_that_they_made() -> None:
+    sent = []
+    for received_ns, key, message in messages(PAIR, in_formation(PAIR)):
+        if type(message) is Status:
+            message = message._replace(counters=(("overruns", 30),), tick_us=())
+        sent.append((received_ns, key, message))
+    (text,) = warnings(recorded(PAIR, sent, "run"))
+    assert "robots 1 and 2 skipped 60 of 60 ticks. What came late" in text
+
+
 def test_metrics_tell_the_machine_from_the_fleet() -> None:
     assert RunResult(late(30)).metrics["machine"] == {"late_robots": [1, 2], "stood_still_s": 0.0}
     stood = silent(ALL, counted={"stood_ms": 600, "overruns": 3})
@@ -217,7 +227,7 @@ def test_plants_that_hang_fail_as_one_does() -> None:
     (reason,) = RunResult(silent((PlantState,), state="fault")).reasons
     assert reason == (
         "The data are incomplete: no pose came of robots 1 and 2 for up to 0.6 s: their plants stood still, "
-        "while their agents ran."
+        "while their agents ran; one of them may have come within 0.00 m of robot 2 (safe distance 0.22 m)."
     )
 
 
@@ -241,9 +251,10 @@ def test_poses_that_a_slow_machine_lost_are_a_warning_where_nothing_can_have_hap
     assert result.passed
     assert any("for its machine was too slow: it moved 0.06 m meanwhile." in each for each in result.warnings)
     (reason,) = RunResult(gap(1, fleet=moving(0.1))).reasons
-    assert reason == "The data are incomplete: robot 1 sent no pose from 0.80 s to 1.40 s."
+    share = "The data are incomplete: in 30 % of the drive robot 1 sent no pose, where 20 % is allowed;"
+    assert reason == f"{share} for longest from 0.80 s to 1.40 s."
     (reason,) = RunResult(gap(1, fleet=moving(1.0), skipped=30)).reasons
-    assert reason.endswith("to 1.40 s, for its machine was too slow.")
+    assert reason == f"{share} for longest from 0.80 s to 1.40 s, for its machine was too slow."
 
 
 def test_what_a_machine_that_stood_still_hides_may_be_what_it_broke() -> None:

@@ -139,7 +139,8 @@ def test_a_gap_in_the_poses_is_named() -> None:
 
     found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if not within(each)))
     assert found["verdict"]["reasons"] == [
-        "The data are incomplete: robot 1 sent no pose from 0.40 s to 1.20 s."
+        "The data are incomplete: in 40 % of the drive robot 1 sent no pose, where 20 % is allowed; for "
+        "longest from 0.40 s to 1.20 s."
     ]
 
 
@@ -152,7 +153,8 @@ def test_poses_that_begin_late_or_end_early_are_named() -> None:
 
     found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if kept(each)))
     assert found["verdict"]["reasons"] == [
-        "The data are incomplete: robot 1 sent no pose from 0.00 s to 1.00 s.",
+        "Robot 1 sent no pose from 0.00 s to 1.00 s: it may have come within 0.00 m of robot 2 (safe "
+        "distance 0.22 m).",
         "The data are incomplete: robot 2 sent no pose from 1.00 s to 2.00 s.",
     ]
 

@@ -70,6 +70,33 @@ def test_who_is_off_its_place_for_no_reason_fails() -> None:
     assert verdict(run(pair(), lambda t: 0.6 if t > 58.5 else 0.0)) == ([], []), "it was there just now"
 
 
+def test_a_gap_in_the_poses_puts_nobody_at_its_place() -> None:
+    """They were off before it, and are after it: so they were all the while."""
+    fleet = pair()
+
+    def seen(recording: Recording) -> Recording:
+        """Without all poses from 58.5 s to 59.2 s."""
+        robots = {
+            robot: replace(data, plant=data.plant.only((data.plant.t < 58.5) | (data.plant.t > 59.2)))
+            for robot, data in recording.robots.items()
+        }
+        return replace(recording, robots=robots, mode="simulate")
+
+    for lag in (lambda t: 0.6 if t > 20.0 else 0.0, lambda t: 0.0):
+        whole, gappy = (RunResult(each(run(fleet, lag))) for each in (lambda recording: recording, seen))
+        assert len(gappy.analysis.gaps) == 2
+        about_places = [
+            [each for each in result.reasons if "sent no pose" not in each] for result in (whole, gappy)
+        ]
+        assert about_places[0] == about_places[1]
+        one, other = (result.metrics for result in (whole, gappy))
+        assert one["oracles"]["formed"] == other["oracles"]["formed"]
+        assert one["tracking_settling_time_s"] == other["tracking_settling_time_s"]
+    there = run(fleet, lambda t: 0.6 if 20.0 < t < 58.75 else 0.0)
+    times = [RunResult(each).metrics["tracking_settling_time_s"] for each in (there, seen(there))]
+    assert times == [58.7, 59.2]
+
+
 def test_a_formation_that_is_right_in_itself_may_be_a_little_behind() -> None:
     assert verdict(run(pair(), lambda t: 0.3 if t > 20.0 else 0.0)) == (
         [],

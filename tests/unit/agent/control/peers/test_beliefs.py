@@ -11,15 +11,19 @@ from hypothesis import strategies as st
 
 from agent.control.peers.beliefs import (
     DOUBT_MAX,
+    DOUBT_ROLLS_MAX,
     STRETCH,
     STRETCHES_MAX,
     Stretch,
     growth,
+    own_doubt,
+    rolled_on,
     said_doubt,
     stands_after,
     stood_between,
     stood_on,
 )
+from agent.control.peers.rolling import Rolls, arc, rolled
 
 Row = tuple[float, float, float]
 
@@ -105,3 +109,29 @@ def test_a_robot_that_is_cut_off_one_way_first_and_then_the_other_stands_in_time
     given_up = horizon + forgiven
     told = given_up + beacon  # by when it would have heard that it is not heard
     assert told + given_up + braking <= stands_after(horizon, forgiven)
+
+
+@given(
+    st.floats(-2.0, 2.0), st.floats(0.0, 6.2), st.floats(-1.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.3)
+)
+def test_a_body_that_rolls_on_may_be_on_all_of_that_way_as_well_from_when_it_is_there(
+    speed: float, heading: float, yaw_rate: float, share: float, off: float
+) -> None:
+    before = stood_on(curve(0.5, 1.0, 3.0), 0.1)
+    rolls, (x, y) = Rolls(3.5, 0.4), before.way[0]
+    obeys = heading, speed, yaw_rate
+    belief = rolled_on(before, arc(x, y, obeys, rolls), off)
+    age = share * rolls.for_s
+    there = rolled(x, y, obeys, rolls.reach, age)
+    on = [each for each in belief.stretches if each.after <= age]
+    assert min(each.distance(there.x, there.y) - each.radius for each in on) < -0.1 - off + 0.05
+    assert set(before.stretches) <= set(belief.stretches)
+    assert set(before.way) <= set(belief.way)
+    assert [each.after for each in belief.stretches] == sorted(each.after for each in belief.stretches)
+    assert dist((there.x, there.y), (belief.x, belief.y)) <= belief.reach
+
+
+def test_whose_body_may_roll_on_is_believed_more_doubt_than_others():
+    assert own_doubt(99.0, rolls=False) == DOUBT_MAX
+    assert own_doubt(99.0, rolls=True) == DOUBT_ROLLS_MAX
+    assert own_doubt(0.1, rolls=False) == own_doubt(0.1, rolls=True) == 0.1

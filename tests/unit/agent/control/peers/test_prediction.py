@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from agent.control.law import acting_error, navigation_force
+from agent.control.law import acting_error, firmness, navigation_force
 from agent.control.peers.prediction import (
     BRAKING_TIME_S,
     Prediction,
@@ -55,16 +55,25 @@ def straight(t: float) -> Sample:
 
 
 def solved(
-    said: HandState, motion: Callable[[float], Sample], age: float, decay: float, most: float | None
+    said: HandState,
+    motion: Callable[[float], Sample],
+    age: float,
+    decay: float,
+    most: float | None,
+    speeding: float = 0.0,
 ) -> Prediction:
-    """The robot itself: its navigation loop (21), (N1), with forces that die away."""
+    """The robot itself: its navigation loop (21), (N1), (N2), with forces that die away."""
 
     def forces(t: float, y: Floats) -> tuple[Floats, Floats]:
         place = np.array(motion(t))
         e = y[:2] - place[:2]
+        firm = 1.0
         if most is not None:
-            e = np.array(acting_error((e[0], e[1]), (place[2], place[3]), C1, C2, most))
-        navigation = navigation_force(place[4:], e, y[2:] - place[2:4], C1, C2)
+            error, moves = (float(e[0]), float(e[1])), (float(place[2]), float(place[3]))
+            acting = acting_error(error, moves, C1, C2, most)
+            firm = firmness(error, acting, moves, C1, C2, most, speeding)
+            e = np.array(acting)
+        navigation = navigation_force(place[4:], e, y[2:] - place[2:4], firm * C1, firm * C2)
         remains = exp(-decay * t)
         return np.asarray(navigation) + remains * np.array(said[13:15]), remains * np.array(said[11:13])
 
@@ -82,9 +91,14 @@ def solved(
 
 
 def predicted(
-    said: HandState, motion: Callable[[float], Sample], age: float, decay: float, most: float | None
+    said: HandState,
+    motion: Callable[[float], Sample],
+    age: float,
+    decay: float,
+    most: float | None,
+    speeding: float = 0.0,
 ) -> Prediction:
-    return following(said, motion(age), motion(0.0), age, C1, C2, decay, most)
+    return following(said, motion(age), motion(0.0), age, C1, C2, decay, most, speeding)
 
 
 def gap(one: Prediction, other: Prediction) -> float:
@@ -189,6 +203,17 @@ def test_a_robot_far_behind_on_a_straight_way_is_predicted_exactly(away: float, 
     for vector, wanted in zip(got, expected, strict=True):
         assert vector == pytest.approx(wanted, abs=1e-8)
     assert gap(predicted(said, straight, age, DECAY, None), expected) > 0.4 * age * age * (0.4 * away - 1.0)
+
+
+@pytest.mark.parametrize("age", [0.02, 0.2, 0.5, 1.0])
+def test_one_that_is_pulled_firmly_is_predicted_so(age: float):
+    """Far out it is as firm as the loop carries all the while (N2)."""
+    said = message((-40.0, 0.0), (0.1, 0.0), (0.2, 0.0), correction=(-0.3, 0.0))
+    got, expected = (find(said, straight, age, DECAY, MOST, 3.0) for find in (predicted, solved))
+    for vector, wanted in zip(got, expected, strict=True):
+        assert vector == pytest.approx(wanted, abs=1e-8)
+    softly = predicted(said, straight, age, DECAY, MOST)
+    assert got.velocity[0] > softly.velocity[0] + 0.3 * min(age, 0.5)
 
 
 @settings(max_examples=60)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peers
+from agent.control.peers.rolling import Rolls, arc_of
 from agent.control.peers.silent_rows import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
 from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
 from tests.unit.agent.control.peers.neighbours import (
@@ -41,6 +44,26 @@ def test_who_is_not_heard_is_told_of_for_ever_with_the_way_that_it_may_stand_on(
         for each in knows.whereabouts.belief(knows.get(2)).stretches:
             assert there.distance(each.x, each.y) + each.radius <= there.radius + 1e-9
         assert rows(new, T0 + wait + S)[0][:7] == row[:7]  # and told on
+
+
+@pytest.mark.parametrize("wait", [S // 2, 3 * S])
+def test_where_the_body_of_a_silent_one_rolls_to_is_passed_on(wait: int) -> None:
+    """By those who heard it last: another that had only its beacon would look for it elsewhere."""
+    rolls = {"rolls_on": {2: Rolls(3.5, 0.4)}, "horizon_s": 1.0}
+    obeys = ((0.5, 1.0, 0.9),)
+    said = message(2, 5, T0, position=(1.0, 2.0), velocity=(0.7, 0.6))._replace(obeys=obeys)
+    knows, new = heard(peers(**rolls), said), peers(starts={2: (0.0, 0.0)}, **rolls)
+    silent = rows(knows, T0 + wait)
+    rolling = tuple(knows.rolling(silent))
+    assert rolling == ((2, *obeys[0]),)
+    beacon_of_3 = told(knows, T0 + wait)._replace(rolling=rolling)
+    assert new.accept_beacon(beacon_of_3, T0 + wait + PERIOD) is None
+    assert new.get(2).message.obeys == obeys
+    belief = new.whereabouts.belief(new.get(2))
+    for age, x, y in arc_of(said, Rolls(3.5, 0.4)):
+        assert any(
+            each.after <= age + 1e-9 and each.distance(x, y) <= each.radius for each in belief.stretches
+        )
 
 
 def test_one_deaf_to_a_robot_is_told_of_it_by_those_who_hear_it():

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink.bridge.authority import TRANSITIONS, Authority, Holder
+from bridges.mavlink.bridge.authority import REBOOTED, TRANSITIONS, Authority, Holder
 
 MANUAL = "mode MANUAL, not GUIDED"
 LOST = "no heartbeat for 4 s"
@@ -73,6 +73,83 @@ def test_a_mission_that_finds_the_operator_driving_does_not_take_the_vehicle_fro
     authority.step("", MANUAL)
     authority.step("", "")
     assert authority.holder is Holder.RELEASED
+
+
+def test_a_vehicle_that_may_have_been_had_while_nobody_heard_it_waits_for_a_resume() -> None:
+    authority = driving()
+    authority.step(LOST, "")
+    assert not authority.clear_to_drive(), "said meanwhile, it does not count later"
+    row = authority.step("", "", lapse="nothing was heard of it for 4.0 s")
+    assert row is not None
+    assert row.name == "lapsed"
+    for vehicle in ("", LOST, ""):
+        authority.step(vehicle, "")
+        assert authority.holder is Holder.RELEASED
+    assert authority.why == f"nothing was heard of it for 4.0 s: {AWAITED}"
+    assert authority.clear_to_drive()
+    authority.step("", "")
+    assert authority.holder is Holder.BRIDGE
+
+
+def test_a_vehicle_that_rebooted_was_not_taken_by_its_operator() -> None:
+    authority = driving()
+    authority.step(LOST, "")
+    authority.step("", MANUAL)
+    assert authority.why == f"its operator has it: {MANUAL}"
+    authority.step("", MANUAL, lapse=REBOOTED)  # which is known a little later
+    authority.step("", MANUAL)
+    assert authority.why == f"{REBOOTED}: {MANUAL}"
+    authority.step("", "")
+    assert authority.why.endswith(AWAITED)
+    assert authority.clear_to_drive()
+    authority.step("", "")
+    authority.step("", MANUAL)
+    assert authority.why == f"its operator has it: {MANUAL}"
+
+
+def test_a_vehicle_that_its_operator_has_is_his_also_when_he_reboots_it() -> None:
+    authority = driving()
+    authority.step("", MANUAL)
+    authority.step("", MANUAL, lapse=REBOOTED)
+    authority.step("", MANUAL)
+    assert authority.why == f"its operator has it: {MANUAL}"
+
+
+def test_who_takes_it_after_it_was_given_back_is_its_operator_whatever_was_before() -> None:
+    authority = driving()
+    authority.step(LOST, "")
+    authority.step("", MANUAL, lapse=REBOOTED)
+    authority.step("", "")
+    authority.step("", MANUAL)
+    assert authority.why == f"its operator has it: {MANUAL}"
+
+
+def test_a_resume_counts_as_soon_as_it_is_heard_and_given_back_whatever_else_is_wrong() -> None:
+    """It listens for other bridges after a lost link, and its GPS may take longer."""
+    authority = driving()
+    authority.step(LOST, "")
+    authority.step("listens", "", lapse="nothing was heard of it for 4.0 s", heard=True)
+    authority.step("listens", "", heard=True)
+    assert authority.clear_to_drive()
+    authority.step("listens", "", heard=True)
+    assert authority.holder is Holder.NOBODY
+    authority.step("", "", heard=True)
+    assert authority.holder is Holder.BRIDGE
+    authority.step("listens", MANUAL, heard=True)
+    assert not authority.clear_to_drive()
+
+
+def test_a_vehicle_that_rebooted_and_is_in_guided_waits_for_a_resume() -> None:
+    authority = driving()
+    authority.step("", "", lapse=REBOOTED)
+    authority.step("", "")
+    assert authority.why == f"{REBOOTED}: {AWAITED}"
+
+
+def test_nobody_waits_for_a_resume_of_a_vehicle_that_was_never_told_to_drive() -> None:
+    authority = Authority()
+    authority.step("", "", lapse="nothing was heard of it for 4.0 s")
+    assert authority.holder is Holder.BRIDGE
 
 
 def test_a_lost_link_that_comes_back_in_guided_goes_on_by_itself() -> None:

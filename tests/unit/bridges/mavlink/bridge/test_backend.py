@@ -13,7 +13,7 @@ from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.bridge.backend import BRAKE_NS_MAX, session
 from bridges.mavlink.simulator.in_memory import LATENCY_NS, SimulatedRoverPlant
-from plant.backend import Command
+from plant.backend import Command, Said
 from tests.rover_scene import MASS, START_NS, Scene, rovers
 
 GO = Command(MASS * 0.3, 0.0)
@@ -50,7 +50,7 @@ def test_while_it_drives_the_agent_is_told_of_the_reference_else_of_what_is_meas
     before = scene.bridge.reading
     scene.tick()
     reading = scene.bridge.reading
-    assert (reading.force, reading.torque) == GO
+    assert (reading.force, reading.torque) == (GO.force, GO.torque)
     gained = reading.pose.speed - before.pose.speed
     assert gained == pytest.approx(0.3 * 0.05, abs=1e-9)
     scene.rover.set_mode("MANUAL")
@@ -121,6 +121,8 @@ def test_what_the_vehicle_says_is_in_the_log_once() -> None:
     scene.rover.arm()
     scene.run(1.0)
     assert scene.bridge.log.count("the vehicle says (info): Throttle armed") == 1
+    assert Said("info", "Throttle armed") in scene.bridge.plant.status_texts()
+    assert not scene.bridge.plant.status_texts()
 
 
 def test_who_has_it_is_in_the_log_when_it_changes() -> None:

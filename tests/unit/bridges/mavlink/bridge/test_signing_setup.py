@@ -21,8 +21,8 @@ from bridges.mavlink.bridge.signing_setup import (
     Outcome,
     SigningSetup,
     give_keys,
-    setup_settings,
 )
+from bridges.mavlink.session.settings import session_settings
 from bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
 from bridges.mavlink.simulator.settings import settings_of
 from tests.rover_scene import START_NS, Bridge, Scene, World, heartbeat, rovers
@@ -48,7 +48,7 @@ class Bench:
         self.rover = self.world.rover
         self.port = self.world.ports[port]
         self.stamps = Timestamps(folder / "stamp", START_NS + stamps_ns)
-        settings = setup_settings(MavlinkSection(system=system), token=7)
+        settings = session_settings(MavlinkSection(system=system), token=7)
         self.setup = SigningSetup(settings, Signing(KEY, self.stamps), self.port)
 
     def run(self, each: Callable[[], object] = lambda: None) -> Outcome:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.parameters import AUDITED, Parameters
+from bridges.mavlink.session.parameters import AUDITED, Parameters, further
 
 MS = NS_PER_S // 1000
 NAMES = ("A", "B", "C", "D", "E", "F")
@@ -55,14 +55,45 @@ def test_a_value_that_is_not_finite_is_refused_and_asked_for_again() -> None:
 
 def test_the_name_that_answers_counts() -> None:
     parameters = Parameters(AUDITED)
-    parameters.received("SYSID_THISMAV", 3.0)
-    assert parameters.first(constants.SYSTEM_ID) == 3.0
-    assert parameters.values == {"SYSID_THISMAV": 3.0, "MAV_SYSID": None}
-    parameters.received("MAV_SYSID", 4.0)
-    parameters.received("SYSID_THISMAV", 3.0)
-    assert parameters.first(constants.SYSTEM_ID) == 4.0, "it is said, if both are told"
-    assert parameters.first(constants.GROUND_STATION_ID) is None
-    assert parameters.first("SYSID_THISMAV") == 3.0
+    parameters.received("SYSID_MYGCS", 3.0)
+    assert parameters.first(constants.GROUND_STATION_ID) == 3.0
+    # Those that newer firmware has renamed with it are given up with it.
+    assert parameters.values == {"SYSID_MYGCS": 3.0, "MAV_GCS_SYSID": None, "MAV_OPTIONS": None}
+    parameters.received("MAV_GCS_SYSID", 4.0)
+    parameters.received("SYSID_MYGCS", 3.0)
+    assert parameters.first(constants.GROUND_STATION_ID) == 4.0, "it is said, if both are told"
+    assert parameters.first(constants.ARMING_CHECK) is None
+    assert parameters.first("SYSID_MYGCS") == 3.0
+
+
+def test_newer_names_are_given_up_with_the_older_ones_and_the_other_way_round() -> None:
+    parameters = Parameters(AUDITED)
+    parameters.received("MAV_OPTIONS", 1.0)
+    assert parameters.values == {"MAV_OPTIONS": 1.0, "SYSID_MYGCS": None, "SYSID_ENFORCE": None}
+    parameters.received("ARMING_CHECK", 1.0)
+    assert parameters.values["ARMING_SKIPCHK"] is None
+
+
+def test_further_ones_are_read_by_what_the_first_say() -> None:
+    parameters = Parameters(("A", "B"), lambda values: ("C",) if values.get("A") == 1.0 else ())
+    parameters.received("B", 0.0)
+    parameters.received("A", 0.0)
+    assert parameters.done
+    parameters.received("A", 1.0)  # changed by somebody else
+    assert not parameters.done
+    assert parameters.ask(0) == "C"
+    parameters.received("C", 5.0)
+    assert parameters.done
+    assert parameters.values["C"] == 5.0
+    parameters.restart()
+    assert [parameters.ask(k * 100 * MS) for k in range(3)] == ["A", "B", None], "not before A says so"
+
+
+def test_what_a_fence_and_odd_outputs_cost_is_read_where_they_are() -> None:
+    assert further({"FENCE_ENABLE": 0.0, "SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0}) == ()
+    assert further({"FENCE_ENABLE": 1.0}) == ("AVOID_ENABLE",)
+    assert further({"FENCE_ENABLE": 1.0, "AVOID_ENABLE": None}) == ()
+    assert further({"SERVO1_FUNCTION": 26.0, "SERVO3_FUNCTION": 70.0}) == ("FRAME_TYPE",)
 
 
 def test_a_restart_reads_everything_anew() -> None:

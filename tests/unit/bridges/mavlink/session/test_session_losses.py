@@ -102,7 +102,7 @@ def test_from_switching_on_to_driving() -> None:
     assert wire.link.prearm_ok is not None
     assert wire.link.firmware.startswith("4.7.0")
     assert wire.link.parameters_done
-    assert wire.link.parameter(constants.SYSTEM_ID) == 3.0
+    assert wire.link.parameter(constants.GROUND_STATION_ID) == 255.0
     assert wire.link.absence(wire.now_ns) == wire.link.problem == ""
     wire.command = (0.5, 0.3)
     wire.run(3.0)

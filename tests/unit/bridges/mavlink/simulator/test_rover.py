@@ -180,6 +180,31 @@ def test_who_is_obeyed(enforce: int, system: int, moves: int) -> None:
     assert (bench.rover.speed > 0.4) == bool(moves)
 
 
+@pytest.mark.parametrize("new_names", [False, True])
+def test_whom_it_does_not_obey_it_does_not_answer(new_names: bool) -> None:
+    """Everything of theirs is dropped, parameter reads and questions for the time included."""
+    bench = ready(parameters={"SYSID_ENFORCE": 1}, new_names=new_names)
+    name = b"MAV_OPTIONS" if new_names else b"SYSID_ENFORCE"
+    ask = mavlink.MAVLink_param_request_read_message(1, 1, name, -1)
+    for system, answers in ((77, 0), (255, 1), (1, 1)):
+        since = bench.time
+        bench.send(ask, system=system, component=191)
+        bench.send(mavlink.MAVLink_timesync_message(0, 5), system=system, component=191)
+        bench.run(0.2)
+        assert len(bench.of("PARAM_VALUE", since)) == len(bench.of("TIMESYNC", since)) == answers
+    assert bench.last("PARAM_VALUE").param_value == 1.0
+
+
+def test_newer_firmware_has_newer_names_and_says_which_it_has_not() -> None:
+    bench = ready(new_names=True)
+    for name in (b"MAV_GCS_SYSID", b"SYSID_MYGCS"):
+        bench.send(mavlink.MAVLink_param_request_read_message(1, 1, name, -1))
+    bench.run(0.1)
+    assert bench.last("PARAM_VALUE").param_id == "MAV_GCS_SYSID"
+    error = bench.last("PARAM_ERROR")
+    assert (error.target_system, error.param_id) == (255, "SYSID_MYGCS")
+
+
 # Silence
 
 

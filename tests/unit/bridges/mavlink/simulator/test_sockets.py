@@ -170,7 +170,7 @@ def test_only_lines_with_something_are_named(listening: UdpLine, peers: list[soc
     try:
         peers[0].send(b"x")
         came(listening.watched())
-        assert readable([other, listening]) == [(1, listening)]
+        assert readable([other, listening], NOW_NS) == [(1, listening)]
     finally:
         other.close()
 

@@ -52,4 +52,6 @@ def test_anything_else(text: str, said: str) -> None:
 def test_a_device_by_id_keeps_its_name() -> None:
     assert parse_connection("/dev/serial/by-id/usb-ArduPilot_Pixhawk-if00").by_id
     assert not parse_connection("/dev/ttyUSB0").by_id
+    assert not parse_connection("/dev/ttyACM1").by_id
+    assert parse_connection("/dev/serial0").by_id, "a computer's own UART has no better name"
     assert parse_connection("tcp:127.0.0.1:5760").by_id

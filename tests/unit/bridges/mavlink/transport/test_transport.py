@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import select
@@ -203,7 +202,7 @@ def test_a_peer_that_does_not_read_holds_nobody_up_and_gets_whole_messages(liste
 
 
 def test_a_message_that_was_begun_is_finished_before_the_next() -> None:
-    class Narrow(channels._Stream):
+    class Narrow(channels.Stream):
         room = 3
         out = b""
 
@@ -258,8 +257,8 @@ class _Counted:
         self._poller, self._returns = poller, returns
         self.register = poller.register
 
-    def poll(self) -> list[tuple[int, int]]:
-        ready = self._poller.poll()
+    def poll(self, timeout_ms: int | None) -> list[tuple[int, int]]:
+        ready = self._poller.poll(timeout_ms)
         next(self._returns)
         return ready
 
@@ -374,68 +373,6 @@ def test_a_udp_port_is_not_shared_even_with_its_like() -> None:
     with pytest.raises(OSError, match="in use by another program"):
         UdpIn(connection)
     channel.close()
-
-
-# Serial.
-
-
-@pytest.fixture
-def wire() -> Iterator[tuple[int, str]]:
-    """A serial line: the vehicle's end as a handle, ours as a device."""
-    master, slave = os.openpty()
-    device = os.ttyname(slave)
-    os.close(slave)
-    yield master, device
-    with contextlib.suppress(OSError):  # a test may have closed it
-        os.close(master)
-
-
-def test_serial_carries_bytes_both_ways_and_notices_that_the_device_is_gone(
-    opened: Callable[[str], Transport], wire: tuple[int, str]
-) -> None:
-    master, device = wire
-    transport = opened(device)
-    until(lambda: transport.epoch)
-    os.write(master, b"\xfd\x0a\x0d\x11\x13")  # nothing is translated or taken for flow control
-    assert received(transport) == b"\xfd\x0a\x0d\x11\x13"
-    transport.send(b"\xfd\x0a\x0d\x11\x13")
-    assert os.read(master, 100) == b"\xfd\x0a\x0d\x11\x13"
-    os.close(master)
-    until(lambda: transport.trouble)
-    assert transport.trouble == f"{device}: the device is gone" or "no such device" in transport.trouble
-
-
-def test_a_serial_device_that_cannot_be_opened_is_told(
-    opened: Callable[[str], Transport], tmp_path: Path
-) -> None:
-    missing = opened(str(tmp_path / "none"))
-    until(lambda: "cannot open" in missing.trouble)
-    assert missing.trouble.endswith("there is no such device: is it plugged in?")
-    assert missing.transient
-
-
-def test_why_a_serial_device_cannot_be_opened() -> None:
-    assert "dialout" in channels._why_not("/dev/null", errno.EACCES, "")
-    assert channels._why_not("/dev/null", errno.EBUSY, "") == "another program has it open"
-    assert "another program" in channels._why_not("/dev/null", None, "Could not exclusively lock port")
-
-
-def test_a_full_serial_line_drops_rather_than_delays(wire: tuple[int, str]) -> None:
-    channel = channels.Serial(parse_connection(wire[1]), 57600)
-    sent = 0
-    while channel.write(bytes(100)):
-        sent += 100
-    assert 0 < sent < 100_000
-    channel.close()
-
-
-def test_without_pyserial_it_is_said_what_to_install(
-    opened: Callable[[str], Transport], wire: tuple[int, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "serial", None)
-    transport = opened(wire[1])
-    until(lambda: "cannot open" in transport.trouble)
-    assert "pip install 'handfast[rover]'" in transport.trouble
 
 
 # One program at a time.

@@ -119,7 +119,7 @@ def test_a_robot_alone_says_nothing_to_anybody() -> None:
     assert loads(alone, operator=True)[1].up > 0.0
 
 
-@pytest.mark.parametrize("name", ["delta", "obstacles"])
+@pytest.mark.parametrize("name", ["delta", "obstacles", "rovers"])
 def test_messages_are_as_large_as_those_of_a_drive(name: str) -> None:
     there = fleet(name, "fleet.duration_s=12")
     sizes: dict[str, list[int]] = defaultdict(list)
@@ -134,7 +134,7 @@ def test_messages_are_as_large_as_those_of_a_drive(name: str) -> None:
     assert there.ids
     for robot in there.ids[:8]:
         said = {
-            key_expressions.hand: radio_load._hand_bytes(robot, joined[robot], near[robot]),
+            key_expressions.hand: radio_load._hand_bytes(there, robot, joined[robot], near[robot]),
             key_expressions.beacon: radio_load._beacon_bytes(there, 0),
             key_expressions.plant_state: radio_load._size(radio_load._plant_state(robot)),
             key_expressions.status: radio_load._status_bytes(there, robot, joined[robot]),

@@ -78,7 +78,7 @@ def test_bash_takes_the_script(folder: Path) -> None:
         (("run", "delta", "--law", "j"), {"joint"}),
         (("run", "delta", "--orders", "n"), {"notes.txt"}),
         (("run", "delta", "--la"), {"--law"}),
-        (("view", "r"), {"reserve", "rovers", "runs"}),
+        (("view", "r"), {"reserve", "rovers", "rovers_on_hosts", "runs"}),
         (("film", "r"), {"runs"}),
         (("view", "n"), set()),
         (("sweep", "runs", "--write", "r"), set()),

@@ -41,7 +41,8 @@ def test_a_ctrl_c_leaves_figures_out(
     said = capfd.readouterr()
     assert said.err == "SIGINT: figures and report are left out\n"
     assert f"  figures and report left out after Ctrl-C: `handfast report {folder}` makes them" in said.out
-    assert {path.name for path in folder.iterdir()} == {"fleet.toml", "run.mcap", "metrics.json"}
+    left = {path.name for path in folder.iterdir()}
+    assert left == {"events.txt", "fleet.toml", "run.mcap", "metrics.json"}
     assert main(["report", str(folder)]) == PASSED
     said = capfd.readouterr()
     assert (folder / "report.html").exists()

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.security.credentials import Files
 from agent.security.identity import of_robot
+from deploy.console.data_files import FLEETS
 from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.artifacts.systemd_units import Places, arguments, roles, router_units, unit, unit_name
 from tests.unit.agent.fleet.test_hosts import FLEET, HOSTS, LEFT, RIGHT, ROUTERS
@@ -124,6 +125,16 @@ def test_a_unit_starts_its_process_again_but_not_one_that_was_given_nonsense():
 def test_paths_are_written_so_that_systemd_reads_them_as_they_are(folder: str, shown: str):
     text = unit(fleet(), 1, "agent", Places(folder, "/f", None, "/r", "/s", "/o"))
     assert settings(text)["ExecStart"].startswith(f"{shown} -P -m agent")
+
+
+def test_a_bridge_starts_whether_its_serial_port_is_there_or_not() -> None:
+    """It waits by itself, and says for what: a unit that waits for a device does neither."""
+    rovers = load_fleet(FLEETS / "rovers_on_hosts.toml")
+    text = unit(rovers, 1, "plant", PLACES)
+    assert ".device" not in text
+    assert "PrivateDevices" not in text
+    assert "DevicePolicy" not in text
+    assert "PrivateDevices=yes" in unit(rovers, 1, "agent", PLACES)
 
 
 def test_the_recorder_can_be_left_out():

@@ -7,7 +7,7 @@ import pytest
 from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.bridge.backend import JUDGED_NS
-from bridges.mavlink.bridge.preflight_checks import REPORTED_NS
+from bridges.mavlink.bridge.navigation_checks import REPORTED_NS
 from tests.rover_scene import Scene
 
 

@@ -22,7 +22,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from agent.runtime.version import handfast_version
 from deploy.report.export import ExportError
-from deploy.report.ros_messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
+from deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
 from deploy.verdict.run_result import RunResult
 
 METADATA_FILE: Final = "metadata.yaml"

@@ -13,8 +13,8 @@ import pytest
 
 from agent.messages.types import Event, Message, Status, Stop
 from deploy.recording.recording import Recording
-from deploy.report import ros_messages
-from deploy.report.ros_messages import LATCHED, LOG, STORE, VOLATILE, Ints, Stream, streams
+from deploy.report.ros import messages as ros_messages
+from deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Ints, Stream, streams
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import recorded
 from tests.unit.deploy.synthetic_run import (

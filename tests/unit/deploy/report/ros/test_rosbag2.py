@@ -19,8 +19,8 @@ from agent.messages.types import Mission, PlantState
 from deploy import cli
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder
-from deploy.report import rosbag2
 from deploy.report.export import ExportError, export
+from deploy.report.ros import rosbag2
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
@@ -254,9 +254,9 @@ def test_times_that_ros_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_without_rosbags_it_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("rosbag2", "ros_messages"):
-        monkeypatch.delitem(sys.modules, f"deploy.report.{name}")
-        monkeypatch.delattr(f"deploy.report.{name}")
+    for name in ("rosbag2", "messages"):
+        monkeypatch.delitem(sys.modules, f"deploy.report.ros.{name}")
+        monkeypatch.delattr(f"deploy.report.ros.{name}")
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)
     expected = r"^--format rosbag2 needs the package rosbags\S*: .* pip install 'handfast\[operator\]'$"

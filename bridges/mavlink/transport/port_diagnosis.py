@@ -1,0 +1,278 @@
+"""Why a serial port cannot be used, and what to do: absent, taken, a console's, forbidden, or no port."""
+
+from __future__ import annotations
+
+import errno
+import grp
+import os
+import pwd
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from bridges.mavlink.transport.connection_string import Unusable
+
+TO_DO: Final = "; to do: "
+"""Between what is wrong and what to do about it."""
+ROOT: Final = Path("/")
+PORTS: Final = ("dev/serial/by-id/*", "dev/serial[0-9]*", "dev/tty[A-Z]*[0-9]")
+KINDS: Final = ("USB", "ACM", "AMA", "THS", "S")
+"""Of /dev/tty..., those that a vehicle may be at."""
+PORTS_SHOWN: Final = 6
+HOLDERS_SHOWN: Final = 3
+ANOTHER: Final = "another kind of device"
+TERMINAL: Final = "a terminal of this computer's own"
+_ALIASES: Final = 5
+"""Linux's major number of /dev/tty, /dev/console and /dev/ptmx."""
+_CONSOLES: Final = 4
+"""That of /dev/tty0 to /dev/tty63, its consoles; of serial ports from there on."""
+_CONSOLES_MAX: Final = 64
+CONSOLE: Final = "a Linux console is on it"
+MODEM_MANAGER: Final = "ModemManager"
+_MODEM: Final = (
+    f"{MODEM_MANAGER} takes every new port for a modem and lets go after some seconds: "
+    f"sudo systemctl disable --now {MODEM_MANAGER}"
+)
+_GETTYS: Final = ("agetty", "getty", "mgetty", "login")
+_PHANTOM: Final = "0"
+"""What /sys says of a /dev/ttyS... without hardware."""
+
+
+class Finding(NamedTuple):
+    """What is wrong with a port, and what to do about it.
+
+    Attributes:
+        transient: it may end by itself.
+    """
+
+    text: str
+    remedy: str
+    transient: bool = False
+
+    @property
+    def error(self) -> OSError:
+        """As opening a channel raises it."""
+        return (OSError if self.transient else Unusable)(f"{self.text}{TO_DO}{self.remedy}")
+
+
+class Holder(NamedTuple):
+    """A process that has a port, or reads it."""
+
+    process: int
+    command: str
+
+
+def before_opening(device: str, root: Path = ROOT) -> Finding | None:
+    """What can be seen without opening it; None: nothing speaks against that.
+
+    Args:
+        root: where /dev, /proc and /sys are.
+    """
+    path = root / device[1:]
+    try:
+        status = path.stat()
+    except PermissionError:
+        return refused(device, errno.EACCES, root)
+    except OSError:
+        return _absent(root)
+    kind = status.st_mode
+    if not stat.S_ISCHR(kind):
+        what = "a folder" if stat.S_ISDIR(kind) else "a file" if stat.S_ISREG(kind) else "something else"
+        return _no_port(what, root)
+    major, minor = os.major(status.st_rdev), os.minor(status.st_rdev)
+    if major == _ALIASES or (major == _CONSOLES and minor < _CONSOLES_MAX):
+        return _no_port(TERMINAL, root)
+    numbers = f"{major}:{minor}"
+    class_ = root / "sys/dev/char" / numbers / "subsystem"
+    if class_.exists() and class_.resolve().name != "tty":
+        return _no_port(ANOTHER, root)
+    holders = list(_holders(device, root))
+    if not holders:
+        return None
+    consoles = [holder for holder in holders if holder.command in _GETTYS]
+    if consoles:
+        return Finding(f"{CONSOLE} ({_named(consoles)})", _console_off(device, root))
+    return _taken(holders)
+
+
+def refused(device: str, number: int, root: Path = ROOT) -> Finding:
+    """Why opening it failed, with that `errno`; EAGAIN: another program has its lock."""
+    if number == errno.EACCES:
+        return _forbidden(root / device[1:])
+    if number == errno.EPERM:
+        return Finding("what this runs in, a container or a service, keeps it away", "let it have the device")
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
+        return _absent(root)
+    if number in (errno.EBUSY, errno.EAGAIN):
+        found = list(_holders(device, root))
+        return _taken(found) if found else _taken_by_somebody(device, root)
+    if number in (errno.ENOTTY, errno.EINVAL):
+        return _no_port(ANOTHER, root)
+    return Finding(os.strerror(number).lower(), "check the device")
+
+
+def console_note(device: str, root: Path = ROOT) -> str:
+    """What to do when the kernel's own messages go to a port; "" when they do not."""
+    named = set()
+    for line in _text(root / "proc/consoles").splitlines():
+        named.update(line.split()[:1])
+    for word in _text(root / "proc/cmdline").split():
+        if word.startswith("console="):
+            named.add(word.removeprefix("console=").partition(",")[0])
+    if named.isdisjoint(_names(device, root)):
+        return ""
+    return f"{CONSOLE}: the kernel writes there{TO_DO}{_console_off(device, root)}"
+
+
+def _absent(root: Path) -> Finding:
+    there = list(_ports(root))
+    more = f" and {len(there) - PORTS_SHOWN} more" if len(there) > PORTS_SHOWN else ""
+    others = f"there are {', '.join(there[:PORTS_SHOWN])}{more}" if there else "no serial port is there"
+    return Finding(f"no such device; {others}", "plug it in, or name the right one", True)
+
+
+def _no_port(what: str, root: Path) -> Finding:
+    there = list(_ports(root))[:PORTS_SHOWN]
+    named = f"name a serial port: {', '.join(there)}" if there else "name a serial port; none is there"
+    return Finding(f"this is {what}, not a serial port", named)
+
+
+def _ports(root: Path) -> Iterator[str]:
+    """The serial ports that are there, each by its best name."""
+    seen = set()
+    for pattern in PORTS:
+        for path in sorted(root.glob(pattern)):
+            name, real = path.name, path.resolve()
+            if name.startswith("tty"):
+                kind = name.removeprefix("tty").rstrip("0123456789")
+                phantom = _text(root / "sys/class/tty" / name / "type").strip() == _PHANTOM
+                if kind not in KINDS or phantom:
+                    continue
+            if real not in seen and path.exists():
+                seen.add(real)
+                yield f"/{path.relative_to(root)}"
+
+
+def _names(device: str, root: Path) -> set[str]:
+    path = root / device[1:]
+    return {path.name, path.resolve().name}
+
+
+def _holders(device: str, root: Path) -> Iterator[Holder]:
+    """Processes that have it open, of those that may be looked at, and gettys on it."""
+    real = root / device[1:]
+    target = f"/{real.resolve().relative_to(root.resolve())}"
+    names = _names(device, root)
+    for folder in sorted((root / "proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
+        process = int(folder.name)
+        if process == os.getpid():
+            continue
+        words = _text(folder / "cmdline").split("\0")
+        command = os.path.basename(words[0]).lstrip("-") or _text(folder / "comm").strip()
+        if command in _GETTYS and not names.isdisjoint(words[1:]):
+            yield Holder(process, command)
+            continue
+        try:
+            handles = [os.readlink(handle) for handle in (folder / "fd").iterdir()]
+        except OSError:
+            continue  # another user's, or gone
+        if target in handles:
+            yield Holder(process, command)
+
+
+def _named(holders: list[Holder]) -> str:
+    shown = [f"process {holder.process}, {holder.command}" for holder in holders[:HOLDERS_SHOWN]]
+    return "; ".join(shown + ["and more"] * (len(holders) > HOLDERS_SHOWN))
+
+
+def _taken(holders: list[Holder]) -> Finding:
+    text = f"another program has it open ({_named(holders)})"
+    if any(holder.command == MODEM_MANAGER for holder in holders):
+        return Finding(text, _MODEM, True)
+    return Finding(text, "end it")
+
+
+def _taken_by_somebody(device: str, root: Path) -> Finding:
+    """Another user's program: it cannot be seen which."""
+    ask = f"sudo fuser -v {device} says which"
+    for folder in (root / "proc").glob("[0-9]*"):
+        if _text(folder / "comm").strip() == MODEM_MANAGER:
+            return Finding(f"another user's program has it open, {MODEM_MANAGER} perhaps", _MODEM, True)
+    return Finding("another user's program has it open", f"{ask}: end it")
+
+
+def _console_off(device: str, root: Path) -> str:
+    name = (root / device[1:]).resolve().name
+    return (
+        f"sudo systemctl disable --now serial-getty@{name}, remove console={name} (or serial0) from the "
+        "kernel's cmdline.txt, and restart (Raspberry Pi: raspi-config, serial port, no login shell)"
+    )
+
+
+def _forbidden(path: Path) -> Finding:
+    try:
+        state = path.stat()
+    except OSError:
+        return Finding("permission denied", "give this user the folder that it is in")
+    user, group = _user_name(os.geteuid()), _group_name(state.st_gid)
+    mine = state.st_gid in {os.getegid(), *os.getgroups()}
+    return forbidden(
+        user, group, stat.filemode(state.st_mode), mine=mine, listed=_is_listed(user, state.st_gid)
+    )
+
+
+def forbidden(user: str, group: str, mode: str, *, mine: bool, listed: bool) -> Finding:
+    """Why a user may not open a device of a group.
+
+    Args:
+        mode: as `ls -l` has it.
+        mine: this process is of the group. listed: the user is, in the system's list.
+    """
+    if mode[4:6] != "rw":
+        rule = "give its group rw by a rule of udev"
+        return Finding(
+            f"permission denied: its mode, {mode}, lets its group {group} not read and write", rule
+        )
+    if mine:
+        return Finding(
+            f"permission denied, though {user} is in its group, {group}",
+            "let the container or the service that this runs in have the device",
+        )
+    if listed:
+        return Finding(
+            f"permission denied: {user} was put into its group, {group}, after this session began",
+            "log in again (a service: restart it)",
+        )
+    return Finding(
+        f"permission denied: it is of group {group}, and {user} is not in that",
+        f"sudo usermod -aG {group} {user}, and log in again",
+    )
+
+
+def _user_name(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return f"user {number}"
+
+
+def _group_name(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return f"{number}"
+
+
+def _is_listed(user: str, group: int) -> bool:
+    try:
+        return user in grp.getgrgid(group).gr_mem
+    except KeyError:
+        return False
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""

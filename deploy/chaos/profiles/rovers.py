@@ -1,0 +1,104 @@
+"""Scenarios of rovers whose bridges, agents or computers die while they drive (PURE). Lengths in m, W.
+
+A vehicle that nothing commands rolls on for seconds (`agent.fleet.plants.Kind.rolls_on_s`): others have to
+keep away from where it goes, though nobody hears it. They come together from anywhere about their places, so
+their ways cross and they turn hard; some are told to go on later, as an operator would.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from agent.fleet.plants import KINDS
+from deploy.chaos.dice import Dice, Tables
+from deploy.chaos.draw_formation import draw_lattice
+from deploy.chaos.profiles import pieces
+
+ROBOTS: Final = (2, 6)
+SAFE_M: Final = 1.0
+SPACING_M: Final = (2.6, 3.2)
+SCATTER_M: Final = 5.0
+"""Hands start so far beside their places in x and in y at most..."""
+APART_M: Final = 2.0
+"""...and so far from each other at least."""
+REACH_M: Final = 0.4
+SPEED_MPS: Final = (0.6, 0.9)
+COURSE_SHARES: Final = (0.0, 0.4)
+"""Least and most of the greatest speed that the course has."""
+RATE_HZ: Final = 20
+DIES_S: Final = (0.5, 7.0)
+DOWN_S: Final = (0.3, 8.0)
+SECOND: Final = 0.3
+"""Share of the scenarios in which something happens to another one soon after..."""
+SECOND_OF: Final = 4
+"""...of so many robots at least: two that nobody commands may roll into each other."""
+STOPPED: Final = 0.5
+ROLLED_S: Final = 4.5
+"""Share of those in which an operator stops all before, so long at least after the last that happens: whom
+he has stopped stands, though a vehicle rolls at it."""
+ORDERED: Final = 0.6
+"""Share of the scenarios in which an operator tells all to go on..."""
+ORDERED_S: Final = (1.0, 6.0)
+"""...so long after the last of them is back."""
+QUIET_S: Final = 6.0
+_KIND: Final = next(name for name, kind in KINDS.items() if kind.rolls_on_s)
+_DATUM: Final = {"latitude_deg": -35.363261, "longitude_deg": 149.16523, "altitude_m": 584.0}
+
+
+def draw_rovers(seed: int) -> Tables:
+    """The tables of the fleet file of this seed."""
+    dice = Dice("rovers", seed)
+    ids = list(range(1, dice.whole(*ROBOTS) + 1))
+    shape = draw_lattice(Dice("shape", seed), ids, dice.between(*SPACING_M, 1))
+    speed = dice.between(*SPEED_MPS, 2)
+    course = pieces.line(dice.between(*COURSE_SHARES) * speed, dice.between(0.0, 6.283))
+    first, second = dice.some(ids, 2)
+    rules = [_rule(dice, 1, first, dice.between(*DIES_S, 2))]
+    if dice.chance(SECOND) and len(ids) >= SECOND_OF:
+        rules.append(_rule(dice, 2, second, round(rules[0]["at"] + dice.between(0.0, 3.0), 2)))
+    last_s = max(rule["at"] + rule.get("for", 0.0) for rule in rules)
+    orders: list[Tables] = []
+    if dice.chance(ORDERED):
+        last_s = round(last_s + dice.between(*ORDERED_S), 2)
+        rolled_s = max(rule["at"] for rule in rules) + ROLLED_S
+        if rolled_s < last_s - 0.5 and dice.chance(STOPPED):
+            orders.append({"at": dice.between(rolled_s, last_s - 0.5, 2), "kind": "stop"})
+        orders.append({"at": last_s, "kind": "resume"})
+    control: Tables = {
+        "kp": 1.0, "c1": 0.6, "c2": 1.0, "kd": 1.8, "k2": 5.0,
+        "max_speed_mps": speed, "max_acceleration": 0.8,
+        "plant_timeout_s": 0.5, "wrench_timeout_s": 0.25,
+    }  # fmt: skip
+    vehicle = {
+        "connection": "simulator",
+        "max_speed_mps": speed, "max_acceleration": 0.8, "max_yaw_rate_radps": 1.0,
+    }  # fmt: skip
+    hands = pieces.scattered(dice, shape.offsets, SCATTER_M, APART_M)
+    body = {"mass_kg": 20.0, "inertia_kgm2": 1.2, "hand_offset_m": REACH_M}
+    tables: Tables = {
+        "fleet": pieces.fleet(seed, RATE_HZ, last_s + QUIET_S),
+        "datum": dict(_DATUM),
+        "formation": pieces.formation(shape, ids, SAFE_M, assign=False),
+        "control": control,
+        "trajectory": course,
+        "robot_defaults": {"plant": _KIND, **body, _KIND: vehicle},
+        "robot": pieces.robots_at(dice, hands, (), REACH_M),
+        "faults": {"rule": rules},
+    }
+    if orders:
+        tables["order"] = orders
+    return tables
+
+
+def _rule(dice: Dice, number: int, robot: int, at: float) -> Tables:
+    """What happens to one robot: its bridge, its agent or both end for a while, or for good, or stand; or
+    nobody hears it, and it nobody."""
+    role = dice.weighted((("plant", 4.0), ("both", 4.0), ("agent", 1.0)))
+    what = dice.weighted((("kill", 5.0), ("pause", 1.0), ("for good", 1.0), ("partition", 1.0)))
+    rule: Tables = {"name": f"process {number}", "robot": robot, "at": at}
+    if what == "for good":
+        return rule | {"kill": role}
+    down_s = dice.between(*DOWN_S, 2)
+    if what == "partition":
+        return {"name": f"links {number}", "partition": f"alone {robot}", "at": at, "for": down_s}
+    return rule | {what: role, "for": down_s}

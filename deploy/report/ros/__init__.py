@@ -1,0 +1,1 @@
+"""Runs as bags of ROS 2."""

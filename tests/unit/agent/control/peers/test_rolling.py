@@ -1,0 +1,75 @@
+"""Where a vehicle rolls that nothing commands: as a body that is driven so, step by step."""
+
+from __future__ import annotations
+
+from math import pi, tau
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.control.hand import Pose, advance, hand
+from agent.control.peers.rolling import LEADS_S, Rolls, arc, arc_of, moves, rolled, rolls_of, setpoint
+from agent.fleet.loading import parse_fleet
+from agent.messages.types import HandState
+
+REACH = 0.4
+ROLLS = Rolls(3.5, REACH)
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 5, y_m = 5, plant = "mavlink" }]
+robot_defaults = { hand_offset_m = 0.4, mavlink = { connection = "simulator" } }
+datum = { latitude_deg = 50.0, longitude_deg = 8.0 }
+fleet = { name = "two" }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [0, 9]], safe_distance_m = 1.0 }
+"""
+
+
+@given(
+    heading=st.floats(0.0, tau),
+    speed=st.floats(-1.0, 1.0),
+    yaw_rate=st.floats(-1.5, 1.5),
+    t=st.floats(0.0, 4.0),
+)
+def test_it_keeps_its_speed_and_yaw_rate(heading: float, speed: float, yaw_rate: float, t: float) -> None:
+    pose = Pose(1.0, -2.0, heading, speed, yaw_rate)
+    begins = hand(pose, REACH)
+    for _ in range(40):
+        pose = advance(pose, 0.0, 0.0, 1.0, 1.0, t / 40)
+    there = rolled(begins.x, begins.y, (heading, speed, yaw_rate), REACH, t)
+    assert there == pytest.approx(hand(pose, REACH), abs=1e-6)
+
+
+def test_its_way_leads_from_where_it_was_heard_to_where_it_rests():
+    way = arc(1.0, 2.0, (0.5, 0.8, -0.3), ROLLS)
+    assert way[0] == pytest.approx((0.0, 1.0, 2.0))
+    assert way[-1] == pytest.approx(
+        (ROLLS.for_s, *rolled(1.0, 2.0, (0.5, 0.8, -0.3), REACH, ROLLS.for_s)[:2])
+    )
+    assert [t for t, _, _ in way] == sorted(t for t, _, _ in way)
+
+
+def test_what_it_obeys_is_what_it_had_begun_to_do():
+    heading, speed, yaw_rate = setpoint(-0.5, 0.4, 0.1, along=0.5, spin=-2.0)
+    assert (heading, speed, yaw_rate) == pytest.approx(
+        (tau - 0.5, 0.4 + 0.5 * LEADS_S[0], 0.1 - 2.0 * LEADS_S[1])
+    )
+
+
+def test_one_that_says_what_it_obeys_turns_and_any_other_goes_straight_on():
+    message = HandState.placed(2, 0, 0, True, 1, (0.0, 0.0, 0.3, 0.4))
+    _, x, y = arc_of(message, ROLLS)[-1]
+    assert (x, y) == pytest.approx((0.3 * ROLLS.for_s, 0.4 * ROLLS.for_s))
+    _, x, y = arc_of(message._replace(obeys=((0.0, 0.5, pi / ROLLS.for_s),)), ROLLS)[-1]
+    assert x == pytest.approx(-2.0 * REACH)  # it has turned about
+    assert y == pytest.approx(2.0 * 0.5 * ROLLS.for_s / pi)
+
+
+def test_only_vehicles_roll_on():
+    fleet = parse_fleet(FLEET, source="here")
+    assert rolls_of(fleet.robot(1)) is None
+    assert rolls_of(fleet.robot(2)) == Rolls(3.5, 0.4)
+
+
+def test_a_body_moves_that_is_faster_than_its_estimate_is_wrong():
+    assert not moves(0.03, -0.04)
+    assert moves(0.0, -0.1)

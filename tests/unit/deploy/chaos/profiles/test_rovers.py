@@ -1,0 +1,59 @@
+"""The profile of rovers: what is lost of them while they come together, and what comes after."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from deploy.chaos.profiles.rovers import APART_M, DOWN_S, ORDERED_S, QUIET_S, SAFE_M, draw_rovers
+
+SEEDS = range(80)
+
+
+def test_something_is_lost_of_each_kind() -> None:
+    what: Counter[str] = Counter()
+    for seed in SEEDS:
+        for rule in draw_rovers(seed)["faults"]["rule"]:
+            if "partition" in rule:
+                what["partition"] += 1
+            elif "kill" in rule:
+                what[f"{'kill' if 'for' in rule else 'for good'} {rule['kill']}"] += 1
+            else:
+                what["pause"] += 1
+            assert rule.get("for", DOWN_S[0]) >= DOWN_S[0]
+    assert {"partition", "kill plant", "kill both", "kill agent", "for good both", "pause"} <= set(what)
+
+
+def test_of_two_to_whom_something_happens_neither_is_the_other() -> None:
+    pairs = [rules for seed in SEEDS if len(rules := draw_rovers(seed)["faults"]["rule"]) == 2]
+    assert pairs
+    for first, second in pairs:
+        robots = {
+            each.get("robot", each.get("partition", "").removeprefix("alone ")) for each in (first, second)
+        }
+        assert len({int(robot) for robot in robots}) == 2
+
+
+def test_an_operator_tells_them_to_go_on_once_all_are_back() -> None:
+    ordered = stopped = 0
+    for seed in SEEDS:
+        tables = draw_rovers(seed)
+        back_s = max(rule["at"] + rule.get("for", 0.0) for rule in tables["faults"]["rule"])
+        left_s = tables["fleet"]["duration_s"] - back_s
+        *stops, resume = tables.get("order", ()) or [None]
+        for stop in stops:
+            assert stop["kind"] == "stop"
+            assert stop["at"] < resume["at"]
+            stopped += 1
+        for order in [resume] if resume else ():
+            assert order["kind"] == "resume"
+            assert ORDERED_S[0] - 0.01 <= order["at"] - back_s <= ORDERED_S[1] + 0.01
+            left_s = tables["fleet"]["duration_s"] - order["at"]
+            ordered += 1
+        assert abs(left_s - QUIET_S) < 0.06
+    assert 30 < ordered < 65
+    assert stopped > 3
+
+
+def test_there_is_room_at_the_start() -> None:
+    assert APART_M > 1.5 * SAFE_M
+    assert all(row["plant"] == "mavlink" for row in (draw_rovers(seed)["robot_defaults"] for seed in SEEDS))

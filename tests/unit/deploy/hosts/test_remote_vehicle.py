@@ -1,0 +1,196 @@
+"""What runs on a robot's computer for its vehicle: a look at ports, and a program in place of a bridge."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from agent.fleet.hosts import HostSection
+from deploy.hosts import remote_program, remote_vehicle
+from deploy.hosts.connection import HostConnection, HostError
+from deploy.hosts.remote_vehicle import manager_groups, others, port
+from tests.process.harness import wait_for
+from tests.unit.deploy.hosts.test_remote_program import home as home
+from tests.unit.deploy.hosts.test_remote_program import units
+
+BRIDGE = "handfast-two-robot-1-plant.service"
+PROGRAM = """import sys, time
+print(sys.argv[1:], sys.stdin.read())
+sys.exit("no vehicle") if "fails" in __name__ + __file__ else None
+time.sleep(60 if "slow" in __file__ else 0)
+"""
+
+
+@pytest.fixture
+def terminal() -> str:
+    """A port."""
+    return os.ttyname(os.openpty()[1])
+
+
+def process(proc: Path, number: int, name: str, *words: str, groups: str = "") -> None:
+    folder = proc / str(number)
+    folder.mkdir(parents=True)
+    (folder / "comm").write_text(f"{name}\n")
+    (folder / "cmdline").write_bytes("\0".join(words).encode() + b"\0")
+    (folder / "status").write_text(f"Name:\t{name}\nGid:\t7\t7\t7\t7\nGroups:\t{groups} \n")
+
+
+def test_a_port_that_is_well_has_nothing_to_tell(terminal: str, tmp_path: Path) -> None:
+    assert port(terminal, proc=str(tmp_path)) == {}
+
+
+def test_for_one_that_is_not_there_others_are_named_once_and_by_the_name_that_stays(tmp_path: Path) -> None:
+    (tmp_path / "serial/by-id").mkdir(parents=True)
+    for name in ("ttyACM0", "ttyUSB0", "ttyAMA0", "tty1", "ttyS0"):
+        (tmp_path / name).touch()
+    (tmp_path / "serial/by-id/usb-Autopilot").symlink_to("../../ttyACM0")
+    (tmp_path / "serial0").symlink_to("ttyAMA0")
+    there = [f"{tmp_path}/{name}" for name in ("serial/by-id/usb-Autopilot", "serial0", "ttyUSB0")]
+    assert others(str(tmp_path)) == there
+    assert port(f"{tmp_path}/ttyACM1", dev=str(tmp_path)) == {"there": there}
+
+
+def test_what_is_no_port_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert port(str(tmp_path)) == {"kind": "a folder"}
+    assert port(f"{tmp_path}/file") == {"kind": "a file"}
+
+
+def test_one_that_this_user_may_not_open(
+    terminal: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    os.chmod(terminal, 0o600)
+    assert port(terminal, proc=str(tmp_path)) == {"denied": ""}
+    os.chmod(terminal, 0o660)
+    group = remote_vehicle.group_name(os.stat(terminal).st_gid)
+    assert port(terminal, proc=str(tmp_path)) == {"denied": group}
+
+
+def test_units_have_the_groups_of_when_the_users_systemd_began(
+    terminal: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    os.chmod(terminal, 0o660)
+    group = os.stat(terminal).st_gid
+    process(tmp_path, 1, "systemd", "/sbin/init")
+    assert manager_groups(str(tmp_path)) is None
+    process(tmp_path, 20, "systemd", "/lib/systemd/systemd", "--user", groups="4 24")
+    assert manager_groups(str(tmp_path)) == {4, 7, 24}
+    uid = os.stat(tmp_path).st_uid
+    monkeypatch.setattr(os, "getuid", lambda: uid + 1000)
+    assert port(terminal, proc=str(tmp_path)) == {}, "somebody else's systemd"
+    os.chown(tmp_path / "20", uid + 1000, -1)
+    assert port(terminal, proc=str(tmp_path)) == {"late": remote_vehicle.group_name(group)}
+    (tmp_path / "20/status").write_text(f"Gid:\t7\nGroups:\t{group}\n")
+    assert port(terminal, proc=str(tmp_path)) == {}
+
+
+def test_a_console_or_login_on_it(terminal: str, tmp_path: Path) -> None:
+    name = os.path.basename(terminal)
+    process(tmp_path, 5, "agetty", "/sbin/agetty", "--keep-baud", "tty1", "vt220")
+    assert port(terminal, proc=str(tmp_path)) == {}
+    process(tmp_path, 6, "agetty", "/sbin/agetty", "--keep-baud", "115200", name, "vt220")
+    assert port(terminal, proc=str(tmp_path)) == {"console": "a login"}
+    (tmp_path / "consoles").write_text(f"tty0   -WU (EC p  )    4:1\n{name}   -W- (E  p a) 204:64\n")
+    assert port(terminal, proc=str(tmp_path)) == {"console": "the kernel's console"}
+
+
+def test_modem_manager_matters_to_usb_ports_alone(
+    terminal: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    process(tmp_path, 7, "ModemManager", "/usr/sbin/ModemManager")
+    assert port(terminal, proc=str(tmp_path)) == {}
+    monkeypatch.setattr(os.path, "realpath", lambda _: "/dev/ttyACM0")
+    assert port(terminal, proc=str(tmp_path)) == {"modem": True}
+
+
+# ---------------------------------------------------------------------- over a connection
+
+
+def bridge(home: Path, state: str = "active") -> None:
+    """A unit whose process would be this Python."""
+    units(home).mkdir(parents=True, exist_ok=True)
+    words = f'["{sys.executable}", "-P", "-m", "bridges.mavlink", "--fleet", "{home}/fleet.toml"]'
+    (units(home) / BRIDGE).write_text(f"# runs: {words}\n")
+    (home / "shown").write_text(f"Id={BRIDGE}\nActiveState={state}\n")
+
+
+def begun(home: Path) -> list[str]:
+    """What systemctl was told so far, but for questions."""
+    lines = (home / "told").read_text().splitlines() if (home / "told").exists() else []
+    lines = [line.removeprefix("--user --no-pager ") for line in lines]
+    return [line for line in lines if not line.startswith("show")]
+
+
+STARTED = ["stop " + BRIDGE, "reset-failed " + BRIDGE, "start --no-block " + BRIDGE]
+
+
+@pytest.fixture
+def host(home: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[HostConnection]:
+    """A host with three modules of ours, and a bridge that runs."""
+    for name in ("works", "fails", "slow"):
+        (home / f"{name}.py").write_text(PROGRAM)
+    monkeypatch.setenv("PYTHONPATH", str(home))
+    bridge(home)
+    with HostConnection(HostSection("rover1", "10.0.0.1")) as connection:
+        yield connection
+
+
+def run(host: HostConnection, module: str, robot: int = 1) -> str:
+    host.extend(remote_vehicle)
+    asked = {"fleet": "two", "robots": [robot], "module": module, "text": "words", "within_s": 20.0}
+    return str(host.ask("in_place_of_bridges", **asked))
+
+
+def test_it_needs_nothing_installed(host: HostConnection, terminal: str) -> None:
+    with pytest.raises(HostError, match="KeyError"):
+        host.ask("ports", paths=[terminal])
+    host.extend(remote_vehicle)
+    host.extend(remote_vehicle)
+    assert host.ask("ports", paths=[terminal]) == {terminal: {}}
+
+
+def test_a_program_runs_in_place_of_the_bridge(home: Path, host: HostConnection) -> None:
+    assert run(host, "works") == f"['--fleet', '{home}/fleet.toml'] words\n"
+    assert begun(home) == STARTED
+
+
+def test_the_bridge_starts_again_when_the_program_fails(home: Path, host: HostConnection) -> None:
+    with pytest.raises(HostError, match="no vehicle"):
+        run(host, "fails")
+    assert begun(home) == STARTED
+
+
+def test_the_bridge_starts_again_when_nobody_waits_any_more(home: Path, host: HostConnection) -> None:
+    """As after a Ctrl-C, or when the operator's computer is gone."""
+    text = Path(remote_vehicle.__file__).read_bytes()
+    more = {"do": "also", "module": remote_vehicle.__name__, "blob": len(text)}
+    asked = {"do": "in_place_of_bridges", "fleet": "two", "robots": [1], "module": "slow", "text": ""}
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", Path(remote_program.__file__).read_text()],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        child.stdin.write(json.dumps(more).encode() + b"\n" + text)
+        child.stdin.write(json.dumps(asked | {"within_s": 60.0}).encode() + b"\n")
+        child.stdin.close()
+        wait_for(lambda: STARTED[0] in begun(home), "the bridge is stopped")
+        child.stdout.close()
+        wait_for(lambda: begun(home) == STARTED, "the bridge is started", 10.0)
+        child.wait(10.0)
+
+
+def test_a_bridge_that_did_not_run_is_not_started(home: Path, host: HostConnection) -> None:
+    bridge(home, "failed")
+    assert run(host, "works")
+    assert begun(home) == []
+    with pytest.raises(HostError, match="`handfast up` first"):
+        run(host, "works", robot=2)
