@@ -14,12 +14,7 @@ from http import HTTPStatus
 from urllib.parse import urlsplit
 from urllib.request import urlopen
 
-from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
-from websockets.typing import Origin
-
-PATIENCE_S = 10.0
-SHOWN = "shown"
+from tests.process.page_talk import PATIENCE_S, talked
 
 
 def fetched(address: str, trusts: ssl.SSLContext) -> str:
@@ -41,21 +36,6 @@ def in_the_clear(address: str) -> str:
             return plain.recv(1000).decode(errors="replace")
         except ConnectionError:
             return ""
-
-
-def talked(address: str, trusts: ssl.SSLContext, origin: str | None, *says: object) -> str:
-    """What comes of saying this to the fleet, as a script of `origin`."""
-    live = address.replace("https:", "wss:") + "live"
-    site = None if origin is None else Origin(origin)
-    try:
-        with connect(live, ssl=trusts, origin=site, proxy=None) as talk:
-            for each in says:
-                talk.send(json.dumps(each))
-            return SHOWN if "scene" in json.loads(talk.recv(PATIENCE_S))["parts"] else "something else"
-    except InvalidStatus as error:
-        return HTTPStatus(error.response.status_code).phrase
-    except ConnectionClosed as error:
-        return error.rcvd.reason if error.rcvd else str(error)
 
 
 def main() -> None:

@@ -23,10 +23,10 @@ from tests.hosts.computers import OPERATOR_ADDRESS
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
-from tests.hosts.page_visits import SHOWN
 from tests.hosts.test_stop_on_hosts import CALM, CAME_UP, PATIENT, ROBOTS, states
 from tests.process.chromium import opened, program
 from tests.process.harness import environment, no_trouble, wait_for
+from tests.process.page_talk import SHOWN
 from tests.process.test_view_live import DRIVES, first_order
 
 pytestmark = pytest.mark.timeout(400)

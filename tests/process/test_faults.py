@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import signal
 import time
@@ -25,11 +26,14 @@ from tests.process.harness import (
     measured,
     no_trouble_in_logs,
     running,
+    wait_for,
 )
 
 NETWORK = ("--set", "network.base_port=21120")
 LINE = ("--set", 'trajectory.kind="line"', "--set", "trajectory.velocity_mps=[0.2,0.1]")
 LEASE_S = 2.0
+HEALED = re.compile(r"all running$", re.MULTILINE)
+"""Ends a line of a fleet's state when all is well and no fault is live."""
 AGREE_M = 0.02
 ROUNDS = 275
 """The first 5.5 s of a drive."""
@@ -66,7 +70,7 @@ def rule(folder: Path, text: str) -> tuple[str, str]:
 def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
     """Set and cleared by one operator; those of another who is killed end with their lease."""
     cut = ("--link", "1->2", "--loss", "100%")
-    with running_pair(tmp_path / "run", 11) as (name, run):
+    with running_pair(tmp_path / "run", 120) as (name, run):
         status, out = told(tmp_path, "faults", "set", name, *cut, "--name", "first", "--stay")
         assert (status, out) == (0, f"4 of 4 agents and plants of {name} took it\n")
         run.wait_for_line(r"faults: live loss 100% on 1->2 \(")
@@ -81,8 +85,10 @@ def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
         with Command(tmp_path / "second", "faults", "set", name, *cut, "--for", "60s") as second:
             second.wait_for_line(r"held by 4 of 4; \d+\.\d s left")
             second.process.kill()
-            killed_ns = time.time_ns()
-        assert run.wait() == 0, run.told()
+            killed_ns, before = time.time_ns(), len(run.err)
+        wait_for(lambda: HEALED.search(run.err, before), "a drive without faults", report=run.told)
+        run.process.send_signal(signal.SIGINT)
+        assert run.wait() == 130, run.told()
     recording = read_run(tmp_path / "run" / "out")
     links = decided(recording)
     assert list(links) == [Link(1, 2, "hand")]
@@ -94,8 +100,6 @@ def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
     healed_s = (int(second_rows.stamp_ns[-1]) - killed_ns) / NS_PER_S
     measured("healed after the author was killed, s", healed_s)
     assert 0.5 < healed_s <= LEASE_S
-    state, reason = recording.robots[2].status.at(11.0) or ("", "")
-    assert state == "running" or reason.startswith("overloaded: ")
 
 
 def test_ctrl_c_heals(tmp_path: Path) -> None:

@@ -87,6 +87,15 @@ SILENT_BOTH_WAYS = """() => {
 }"""
 """Whether the list of links and the plan say so of the link between robots 1 and 2."""
 
+ROBOTS_TAKE_LESS_ROOM = """() => {
+  const { plan } = handfast;
+  plan.fit(true);
+  const near = plan.scale;
+  plan.fit();
+  return near > 1.1 * plan.scale;
+}"""
+"""Whether they have gone so far, since the page knows of them, that all of the drive is more than they are."""
+
 MIDDLE_OF_LINK = (
     "(() => { const [i, j] = handfast.source.edgesAt(1e9)[0]; const { drawn } = handfast.plan;"
     " return [(drawn[i][0] + drawn[j][0]) / 2, (drawn[i][1] + drawn[j][1]) / 2]; })()"
@@ -119,6 +128,7 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
             click_on_nothing(page)
 
             # All of the drive fits, or the robots alone; what was zoomed to is there again after a reload.
+            page.wait_for_function(ROBOTS_TAKE_LESS_ROOM)
             whole = page.evaluate("handfast.plan.scale")
             page.keyboard.press("f")
             page.wait_for_function(f"() => handfast.plan.scale > {whole}")

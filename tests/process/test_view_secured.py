@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import signal
@@ -14,14 +13,13 @@ from urllib.request import urlopen
 
 import pytest
 from playwright.sync_api import expect
-from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 from agent.security.credentials import AUTHORITY_CERTIFICATE
 from deploy.inventory.certificate_authority import INDEX_FILE
 from deploy.inventory.operator_credentials import AUTHORITY_FILE, KEYS
 from tests.process.chromium import opened
 from tests.process.harness import Command, wait_for
+from tests.process.page_talk import talked
 from tests.process.secured_fleet import SecuredRobots, secured_robots, three
 from tests.process.small_fleets import triangle
 
@@ -62,16 +60,11 @@ def test_browsers_of_other_machines_come_by_tls_and_token(fleet: SecuredRobots, 
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.1", port), 10)
 
-        live = address.replace("https:", "wss:") + "live"
+        site, evil = address.rstrip("/"), {"order": {"id": "evil", "kind": "stop"}}
         for origin in (None, "https://evil.example", f"http://{HERE}:{port}", f"https://{HERE}"):
-            with pytest.raises(InvalidStatus), connect(live, ssl=trusts, origin=origin, proxy=None):
-                pass
+            assert talked(address, trusts, origin, {"token": token}, evil) == "Forbidden"
         for said in ("wrong", token[:-1], token + "x"):
-            with connect(live, ssl=trusts, origin=address.rstrip("/"), proxy=None) as talk:
-                talk.send(json.dumps({"token": said}))
-                talk.send(json.dumps({"order": {"id": "evil", "kind": "stop"}}))
-                with pytest.raises(ConnectionClosed):
-                    talk.recv(10)
+            assert talked(address, trusts, site, {"token": said}, evil).startswith("another token")
 
         with opened(tmp_path, strange=True) as page:
             page.goto(found[0])
