@@ -94,7 +94,7 @@ ROBOTS_TAKE_LESS_ROOM = """() => {
   plan.fit();
   return near > 1.1 * plan.scale;
 }"""
-"""Whether they have gone so far, since the page knows of them, that all of the drive is more than they are."""
+"""Whether all that they have driven, since the page knows of them, takes more room than they do."""
 
 MIDDLE_OF_LINK = (
     "(() => { const [i, j] = handfast.source.edgesAt(1e9)[0]; const { drawn } = handfast.plan;"
