@@ -317,10 +317,10 @@ class _Parser(argparse.ArgumentParser):
 
 class _CommandParser(argparse.ArgumentParser):
     """A command's parser. What it does not know it refuses itself, with its usage; argparse would have the
-    one above it say so."""
+    one above it say so. What an option is given may begin with "-", where a digit follows."""
 
-    def parse_known_args(self, *args: Any, **kwargs: Any) -> Any:
-        options, unknown = super().parse_known_args(*args, **kwargs)
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        options, unknown = super().parse_known_args(args and self._with_negative(args), namespace)
         if unknown:
             from agent.common.wording import did_you_mean
 
@@ -330,6 +330,17 @@ class _CommandParser(argparse.ArgumentParser):
             hint = f" ({question})" if question else ""
             self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return options, unknown
+
+    def _with_negative(self, args: Sequence[str]) -> list[str]:
+        """`--duration -5s` as `--duration=-5s`: argparse takes "-5" for a value, but "-5s" for an option."""
+        takes = {name for each in self._actions if each.nargs is None for name in each.option_strings}
+        joined: list[str] = []
+        for word in args:
+            if joined and joined[-1] in takes and word[:1] == "-" and word[1:2].isdecimal():
+                joined[-1] += f"={word}"
+            else:
+                joined.append(word)
+        return joined
 
 
 class _Version(argparse.Action):

@@ -233,6 +233,14 @@ def test_an_option_that_a_command_has_not_is_refused_with_its_own_usage(
     assert told.endswith(f"handfast {words[0]}: error: unrecognized arguments: {unknown}{hint}\n")
 
 
+@pytest.mark.parametrize("given", ["-5s", "-5", "-0.5"])
+def test_an_option_that_is_given_less_than_nothing_says_what_would_be_right(
+    given: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", "pair", "--duration", given]) == 2
+    assert "--set fleet.duration_s: must be more than 0 " in capsys.readouterr().err
+
+
 def test_an_option_before_a_command_is_looked_at_first(capsys: pytest.CaptureFixture[str]) -> None:
     for option, said in (("--help", "usage: handfast"), ("--version", "handfast ")):
         with pytest.raises(SystemExit, match="0"):
