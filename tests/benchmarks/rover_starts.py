@@ -21,7 +21,7 @@ from tests.rover_drive import LATE_S, driven, started_anywhere
 COUNT: Final = 50
 COUNT_QUICK: Final = 5
 BUNDLED_S: Final = 60.0
-RANDOM_S: Final = 45.0
+RANDOM_S: Final = 60.0
 GAP: Final = 1.5
 """Of the safe distance, between any two starts."""
 BUNDLED_TARGET_S: Final = 13.0

@@ -37,7 +37,9 @@ FORGET: Final = Path(__file__).with_name("forget_exclusive.py")
 PORT: Final = "/dev/shm/serial0"
 """Where each host has its own files below /dev: all of them have their vehicle at the same name."""
 NAME: Final = "rovers_on_hosts"
-OFFSETS: Final = [[0.0, 1.732], [-1.5, -0.866], [1.5, -0.866]]
+DISTANCE_M: Final = 6.0
+"""They may be out of sight for long on a busy machine, and must not have been able to meet meanwhile."""
+OFFSETS: Final = [[0.0, 3.464], [-3.0, -1.732], [3.0, -1.732]]
 CUT_S: Final = 5.0
 HOME_MB: Final = 1000
 """In memory: what `up` installs is written and removed faster so."""
@@ -51,7 +53,11 @@ def tables(hosts: Sequence[Host]) -> dict[str, Any]:
     raw = tomllib.loads((FLEETS / f"{NAME}.toml").read_text(encoding="utf-8"))
     raw["host"] = {host.name: {"address": host.address} for host in hosts}
     raw["fleet"]["duration_s"] = 32.0
-    raw["formation"] |= {"edges": [[1, 2], [1, 3], [2, 3]], "offsets": OFFSETS}
+    raw["formation"] |= {
+        "edges": [[1, 2], [1, 3], [2, 3]],
+        "distance_m": DISTANCE_M,
+        "offsets": OFFSETS,
+    }
     raw["trajectory"]["start_m"] = [0.0, 0.0]
     raw["robot_defaults"]["mavlink"] |= {"connection": PORT}
     raw["robot"] = raw["robot"][:3]
@@ -179,7 +185,7 @@ def test_they_drive_through_a_lost_host_and_a_killed_bridge(fleet: Rovers) -> No
     out, err = child.communicate(timeout=90.0)
     said = out + err
     assert "Traceback" not in said
-    assert child.returncode == 1, said
+    assert child.returncode == 0, said
     for words in (
         "no connection to robot 2's agent",
         r"degraded: without robot 2 \(no connection to its agent\)",
@@ -191,7 +197,10 @@ def test_they_drive_through_a_lost_host_and_a_killed_bridge(fleet: Rovers) -> No
         "robot 3 is back: running",
     ):
         assert re.search(words, said), f"{words}\n{said}"
-    assert "FAILED\n  Robot 2 sent no pose from " in out, "for who only hears: robot 2 itself knows better"
+    gaps = re.findall(
+        r"Robot (\d) sent no pose .* and cannot have come nearer than [1-5]\.\d\d m to robot ", out
+    )
+    assert set(gaps) == {"2", "3"}, "for who only hears: robot 2 itself knows better"
     assert "No connection to robot 2's agent from " in out
     assert "`handfast fetch` has what they recorded" in out
     assert "No connection to robot 3's plant from " in out
