@@ -99,7 +99,6 @@ class _Datagrams(_Packets):
     """What UDP channels have in common: Linux keeps of each datagram when it came."""
 
     _socket: socket.socket
-    _last_ns = 0
 
     def _open(self, family: int, kind: int, protocol: int) -> None:
         self._socket = socket.socket(family, kind, protocol)
@@ -121,13 +120,7 @@ class _Datagrams(_Packets):
             seconds, ns = _TIMESPEC.unpack(control[0][2])
             # Of the wall clock, which may have been set meanwhile.
             waited_ns = time.time_ns() - seconds * NS_PER_S - ns
-        came_ns = now_ns - waited_ns if 0 < waited_ns <= WAITED_NS_MAX else now_ns
-        if (
-            came_ns < self._last_ns <= now_ns
-        ):  # of two clocks, read one after the other: none came before the last
-            came_ns = self._last_ns
-        self._last_ns = came_ns
-        return came_ns, data, sender
+        return (now_ns - waited_ns if 0 < waited_ns <= WAITED_NS_MAX else now_ns), data, sender
 
     def fileno(self) -> int:
         return self._socket.fileno()

@@ -143,7 +143,7 @@ class ThreadedTransport:
             with self._lock:
                 if self._channel is channel and self._failure is None:
                     try:
-                        out += _waiting(channel, self._clock)
+                        out += _waiting(channel, self._clock())
                     except OSError as error:
                         self._fail(error)
             self._came |= bool(out)
@@ -253,11 +253,11 @@ def _reason(error: OSError) -> str:
     return text[:1].lower() + text[1:]
 
 
-def _waiting(channel: Channel, clock: Callable[[], int]) -> list[Arrived]:
+def _waiting(channel: Channel, now_ns: int) -> list[Arrived]:
     """What has come of use since it was read last."""
     out: list[Arrived] = []
     for _ in range(AT_ONCE_MAX):
-        arrived = channel.read(clock())
+        arrived = channel.read(now_ns)
         if arrived is None:
             break
         if arrived[1]:

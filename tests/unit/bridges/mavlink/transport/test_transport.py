@@ -400,26 +400,6 @@ def test_a_datagram_came_when_the_system_says(
     assert channel.read(NS_PER_S) is None
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="of Linux alone")
-def test_a_reader_that_is_slow_takes_no_stranger_for_the_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wall clock goes on while what waits is read."""
-    port = free_port(socket.SOCK_DGRAM)
-    channel = UdpIn(parse_connection(f"udpin:{LOCALHOST}:{port}"))
-    late = count(time.time_ns(), NS_PER_S // 1000)
-    one, two = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-    try:
-        for _ in range(20):
-            for sender, said in ((one, b"one"), (two, b"two")):
-                sender.sendto(said, (LOCALHOST, port))
-        monkeypatch.setattr(channels.time, "time_ns", lambda: next(late))
-        found = list(iter(lambda: channel.read(NS_PER_S), None))
-    finally:
-        for each in (one, two, channel):
-            each.close()
-    assert [data for _, data in found] == [b"one", b""] * 20
-    assert [came_ns for came_ns, _ in found] == sorted(came_ns for came_ns, _ in found)
-
-
 def test_where_the_system_does_not_say_when_a_datagram_came_a_thread_looks(
     opened: Callable[[str], Transport], monkeypatch: pytest.MonkeyPatch
 ) -> None:
