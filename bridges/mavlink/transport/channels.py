@@ -1,13 +1,9 @@
-"""UDP and TCP channels behind one interface: read when poll says so or at any time, written at once."""
+"""UDP and TCP channels behind one interface: read when poll says so, written without waiting."""
 
 from __future__ import annotations
 
 import errno
 import socket
-import struct
-import sys
-import time
-from contextlib import suppress
 from typing import Any, Final, Protocol
 
 from agent.common.time import NS_PER_S
@@ -20,17 +16,6 @@ TCP_QUEUE_BYTES: Final = 16384
 TCP_SILENT_MS: Final = 3000
 """What was sent and not acknowledged for this long ends the connection, so that it is opened again."""
 CONNECT_S: Final = 2.0
-WAITED_NS_MAX: Final = NS_PER_S // 4
-"""What has waited longer in the system, as its reader stood, is taken for new: what else came meanwhile and
-found no room is lost, and nothing tells of it."""
-_RECEIVED_BYTES: Final = 1 << 20
-_TIMESTAMPNS: Final = 35
-"""Linux's SO_TIMESTAMPNS, which `socket` does not name."""
-_TIMESPEC: Final = struct.Struct("@ll")
-_CONTROL_BYTES: Final = socket.CMSG_SPACE(_TIMESPEC.size)
-
-Arrived = tuple[int, bytes]
-"""When it came, ns of the clock that `Channel.read` is given, and what; b"" for nothing of use."""
 
 
 class Channel(Protocol):
@@ -39,10 +24,7 @@ class Channel(Protocol):
     Attributes:
         note: something odd that does not keep it from working, "" when nothing is.
         trouble: why what comes is of no use, "" while nothing speaks against it.
-        stamped: whether the system keeps, with all that comes, when it came: then it may be read at any time.
     """
-
-    stamped: bool
 
     @property
     def note(self) -> str: ...
@@ -54,8 +36,8 @@ class Channel(Protocol):
         """To poll for reading."""
         ...
 
-    def read(self, now_ns: int) -> Arrived | None:
-        """The next that is there, None for nothing. Raises OSError when the connection has ended."""
+    def read(self, now_ns: int) -> bytes:
+        """What is there, b"" for nothing of use. Raises OSError when the connection has ended."""
         ...
 
     def look(self, now_ns: int) -> None:
@@ -89,55 +71,21 @@ class _Packets:
     """What network channels have in common: checksums see to it that what comes was sent so."""
 
     trouble = ""
-    stamped = False
 
     def look(self, now_ns: int) -> None:
         """See `Channel`."""
 
 
-class _Datagrams(_Packets):
-    """What UDP channels have in common: Linux keeps of each datagram when it came."""
-
-    _socket: socket.socket
-
-    def _open(self, family: int, kind: int, protocol: int) -> None:
-        self._socket = socket.socket(family, kind, protocol)
-        self._socket.setblocking(False)
-        if sys.platform == "linux":
-            with suppress(OSError):
-                self._socket.setsockopt(socket.SOL_SOCKET, _TIMESTAMPNS, 1)
-                # A reader that stands for a second shall not lose what came.
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVED_BYTES)
-                self.stamped = True
-
-    def _next(self, now_ns: int) -> tuple[int, bytes, Any]:
-        """When a datagram came, what, and from where; raises OSError where there is none."""
-        if not self.stamped:
-            return now_ns, *self._socket.recvfrom(READ_BYTES)
-        data, control, _, sender = self._socket.recvmsg(READ_BYTES, _CONTROL_BYTES)
-        waited_ns = 0
-        if control and len(control[0][2]) == _TIMESPEC.size:
-            seconds, ns = _TIMESPEC.unpack(control[0][2])
-            # Of the wall clock, which may have been set meanwhile.
-            waited_ns = time.time_ns() - seconds * NS_PER_S - ns
-        return (now_ns - waited_ns if 0 < waited_ns <= WAITED_NS_MAX else now_ns), data, sender
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-class UdpIn(_Datagrams):
+class UdpIn(_Packets):
     """Waits for a vehicle that sends here. Answers go to the first that was heard, until that has been silent
     for 3 s; what others send is dropped.
     """
 
     def __init__(self, connection: Connection) -> None:
         family, kind, protocol, _, address = _addresses(connection, socket.SOCK_DGRAM, socket.AI_PASSIVE)[0]
-        self._open(family, kind, protocol)
+        self._socket = socket.socket(family, kind, protocol)
         try:
+            self._socket.setblocking(False)
             # Neither SO_REUSEADDR nor SO_REUSEPORT: a second program must not take half of what comes.
             self._socket.bind(address)
         except OSError as error:
@@ -149,25 +97,26 @@ class UdpIn(_Datagrams):
         self._peer: Any = None
         self._heard_ns = self._stranger_ns = 0
 
-    def read(self, now_ns: int) -> Arrived | None:
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self, now_ns: int) -> bytes:
         try:
-            came_ns, data, sender = self._next(now_ns)
+            data, sender = self._socket.recvfrom(READ_BYTES)
         except OSError as error:
-            if would_wait(error):
-                return None
-            if error.errno == errno.ECONNREFUSED:
-                return now_ns, b""  # an earlier answer found nobody
+            if would_wait(error) or error.errno == errno.ECONNREFUSED:
+                return b""  # ECONNREFUSED: an earlier answer found nobody
             raise
         if sender != self._peer:
-            if self._peer is not None and 0 <= came_ns - self._heard_ns < PEER_NS:
+            if self._peer is not None and 0 <= now_ns - self._heard_ns < PEER_NS:
                 self.note = f"{sender[0]}:{sender[1]} sends here too: ignored"
-                self._stranger_ns = came_ns
-                return came_ns, b""
+                self._stranger_ns = now_ns
+                return b""
             self._peer, self.note = sender, ""
-        elif self.note and came_ns - self._stranger_ns >= PEER_NS:
+        elif self.note and now_ns - self._stranger_ns >= PEER_NS:
             self.note = ""
-        self._heard_ns = came_ns
-        return came_ns, data
+        self._heard_ns = now_ns
+        return data
 
     def write(self, data: bytes) -> bool:
         if self._peer is None:
@@ -178,14 +127,18 @@ class UdpIn(_Datagrams):
             return False  # no way to it at the moment; the port stays open
         return True
 
+    def close(self) -> None:
+        self._socket.close()
 
-class UdpOut(_Datagrams):
+
+class UdpOut(_Packets):
     """Sends to a vehicle, and hears only that one."""
 
     def __init__(self, connection: Connection) -> None:
         family, kind, protocol, _, address = _addresses(connection, socket.SOCK_DGRAM)[0]
-        self._open(family, kind, protocol)
+        self._socket = socket.socket(family, kind, protocol)
         try:
+            self._socket.setblocking(False)
             self._socket.connect(address)
         except OSError:
             self._socket.close()
@@ -193,18 +146,21 @@ class UdpOut(_Datagrams):
         self._place = connection.text
         self.note = ""
 
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
     def _refused(self, error: OSError) -> None:
         if error.errno == errno.ECONNREFUSED:
             self.note = f"nobody listens at {self._place} (connection refused)"
 
-    def read(self, now_ns: int) -> Arrived | None:
+    def read(self, now_ns: int) -> bytes:
         try:
-            came_ns, data, _ = self._next(now_ns)
+            data = self._socket.recv(READ_BYTES)
         except OSError as error:
             self._refused(error)
-            return None
+            return b""
         self.note = ""
-        return came_ns, data
+        return data
 
     def write(self, data: bytes) -> bool:
         try:
@@ -213,6 +169,9 @@ class UdpOut(_Datagrams):
             self._refused(error)
             return False
         return True
+
+    def close(self) -> None:
+        self._socket.close()
 
 
 class Stream:
@@ -258,16 +217,16 @@ class Tcp(_Packets, Stream):
     def fileno(self) -> int:
         return self._socket.fileno()
 
-    def read(self, now_ns: int) -> Arrived | None:
+    def read(self, now_ns: int) -> bytes:
         try:
             data = self._socket.recv(READ_BYTES)
         except OSError as error:
             if would_wait(error):
-                return None
+                return b""
             raise
         if not data:
             raise OSError("the vehicle closed the connection")
-        return now_ns, data
+        return data
 
     def _put(self, data: bytes) -> int:
         try:

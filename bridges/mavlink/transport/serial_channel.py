@@ -10,7 +10,7 @@ import termios
 from typing import Final
 
 from bridges.mavlink.transport import port_diagnosis
-from bridges.mavlink.transport.channels import READ_BYTES, Arrived, Stream, would_wait
+from bridges.mavlink.transport.channels import READ_BYTES, Stream, would_wait
 from bridges.mavlink.transport.connection_string import Connection, Unusable
 from bridges.mavlink.transport.line_contents import LineContents
 
@@ -26,8 +26,6 @@ class Serial(Stream):
     Raises:
         OSError: it cannot be opened; the text says why, and what to do.
     """
-
-    stamped = False
 
     def __init__(self, connection: Connection, baud: int) -> None:
         super().__init__()
@@ -65,17 +63,17 @@ class Serial(Stream):
     def fileno(self) -> int:
         return int(self._handle)
 
-    def read(self, now_ns: int) -> Arrived | None:
+    def read(self, now_ns: int) -> bytes:
         try:
             data = os.read(self._handle, READ_BYTES)
         except OSError as error:
             if would_wait(error):
-                return None
+                return b""
             raise OSError(GONE) from None
         if not data:  # readable, and yet nothing: that is how an unplugged one looks
             raise OSError(GONE)
         self._contents.take(now_ns, data)
-        return now_ns, data
+        return data
 
     def look(self, now_ns: int) -> None:
         """See `Channel`."""

@@ -17,14 +17,12 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from agent.runtime.runtime_folder import NotPrivateError
-from bridges.mavlink.transport.channels import Arrived, Channel, Tcp, UdpIn, UdpOut
+from bridges.mavlink.transport.channels import Channel, Tcp, UdpIn, UdpOut
 from bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
 from bridges.mavlink.transport.lock import ConnectionLock
 from bridges.mavlink.transport.serial_channel import Serial
 
 QUEUE_MAX: Final = 4096
-AT_ONCE_MAX: Final = 1000
-"""So much is read at once at most, of what others may send as well."""
 LOOK_MS: Final = 1000
 """While what comes is of no use, it is looked so often whether it still comes."""
 
@@ -89,9 +87,6 @@ class Transport(Protocol):
 class ThreadedTransport:
     """A `Transport` with one thread, which opens, reads and stamps with times; it never sends.
 
-    What the system itself stamps (`Channel.stamped`) is read where it is asked for: a thread that wakes up
-    for each datagram costs as much as all that is done with them.
-
     Args:
         connection: where the vehicle is.
         baud: of a serial device.
@@ -114,11 +109,10 @@ class ThreadedTransport:
         self.dropped = 0
         self._connection, self._baud, self._clock, self._system = connection, baud, clock, system
         self._timing = timing
-        self._queue: deque[Arrived] = deque(maxlen=QUEUE_MAX)
+        self._queue: deque[tuple[int, bytes]] = deque(maxlen=QUEUE_MAX)
         self._lock = threading.Lock()  # never held while anything waits
         self._channel: Channel | None = None
         self._failure: OSError | None = None
-        self._came = False
         self._closing = threading.Event()
         self._wake_read, self._wake_write = socket.socketpair()
         self._wake_write.setblocking(False)
@@ -130,23 +124,14 @@ class ThreadedTransport:
         channel = self._channel
         return "" if channel is None else channel.note
 
-    def receive(self) -> list[Arrived]:
+    def receive(self) -> list[tuple[int, bytes]]:
         # The thread adds meanwhile, or begins anew with none: then fewer come than there were.
-        out: list[Arrived] = []
+        out: list[tuple[int, bytes]] = []
         for _ in range(len(self._queue)):
             try:
                 out.append(self._queue.popleft())
             except IndexError:
                 break
-        channel = self._channel
-        if channel is not None and channel.stamped:
-            with self._lock:
-                if self._channel is channel and self._failure is None:
-                    try:
-                        out += _waiting(channel, self._clock())
-                    except OSError as error:
-                        self._fail(error)
-            self._came |= bool(out)
         return out
 
     def send(self, data: bytes) -> None:
@@ -158,7 +143,8 @@ class ThreadedTransport:
                 try:
                     sent = self._channel.write(data)
                 except OSError as error:
-                    self._fail(error)
+                    self._failure = error
+                    self._wake()
         if not sent:
             self.dropped += 1
 
@@ -167,11 +153,6 @@ class ThreadedTransport:
             self._closing.set()
             self._wake()
             self._thread.join(self._timing.close_s)
-
-    def _fail(self, error: OSError) -> None:
-        """The connection has ended: the thread opens it again."""
-        self._failure = error
-        self._wake()
 
     def _wake(self) -> None:
         with contextlib.suppress(OSError):
@@ -205,15 +186,14 @@ class ThreadedTransport:
     def _read(self, channel: Channel) -> bool:
         """Reads until the connection ends; returns whether anything came."""
         self._queue.clear()  # of what came before, nothing may be taken for the new session's
-        self.trouble = ""
-        self._came = False
         with self._lock:
             self._channel, self._failure = channel, None
-            self.epoch += 1
+        self.trouble = ""
+        self.epoch += 1
+        came = False
         waker = self._wake_read.fileno()
         poller = select.poll()
-        if not channel.stamped:
-            poller.register(channel.fileno(), select.POLLIN)
+        poller.register(channel.fileno(), select.POLLIN)
         poller.register(waker, select.POLLIN)
         try:
             while not self._closing.is_set():
@@ -227,10 +207,11 @@ class ThreadedTransport:
                         if self._failure is not None:
                             raise self._failure
                         continue
-                    arrived = channel.read(self._clock())
-                    if arrived is not None and arrived[1]:
-                        self._queue.append(arrived)
-                        self._came = True
+                    now_ns = self._clock()
+                    data = channel.read(now_ns)
+                    if data:
+                        self._queue.append((now_ns, data))
+                        came = True
                     self._judge(channel)
         except OSError as error:
             self.transient = True
@@ -239,7 +220,7 @@ class ThreadedTransport:
             with self._lock:
                 self._channel = None
             channel.close()
-        return self._came
+        return came
 
     def _judge(self, channel: Channel) -> None:
         """Tells what the channel says of what comes."""
@@ -251,18 +232,6 @@ class ThreadedTransport:
 def _reason(error: OSError) -> str:
     text = str(error) if error.errno is None else error.strerror or str(error)
     return text[:1].lower() + text[1:]
-
-
-def _waiting(channel: Channel, now_ns: int) -> list[Arrived]:
-    """What has come of use since it was read last."""
-    out: list[Arrived] = []
-    for _ in range(AT_ONCE_MAX):
-        arrived = channel.read(now_ns)
-        if arrived is None:
-            break
-        if arrived[1]:
-            out.append(arrived)
-    return out
 
 
 def open_channel(connection: Connection, baud: int) -> Channel:
