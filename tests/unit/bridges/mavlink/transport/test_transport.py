@@ -354,6 +354,23 @@ def test_udpin_answers_the_first_it_heard_until_that_is_silent() -> None:
         channel.close()
 
 
+def test_what_the_vehicle_says_is_heard_in_a_flood_though_nobody_asks_meanwhile(
+    opened: Callable[[str], Transport], vehicle: socket.socket
+) -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    transport = opened(f"udpin:{LOCALHOST}:{port}")
+    assert isinstance(transport, transport_module.ThreadedTransport)
+    until(lambda: transport.epoch)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for number in range(50):
+            vehicle.sendto(b"%d" % number, (LOCALHOST, port))
+            until(lambda number=number: len(transport._queue) > number)
+            for _ in range(100):
+                stranger.sendto(b"flood", (LOCALHOST, port))
+    assert received(transport) == b"".join(b"%d" % number for number in range(50))
+    assert "sends here too: ignored" in transport.note
+
+
 def test_a_udp_port_of_another_program_is_told(
     opened: Callable[[str], Transport], vehicle: socket.socket
 ) -> None:
