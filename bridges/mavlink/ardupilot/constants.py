@@ -263,6 +263,8 @@ STREAM_RATE_HZ: Final = 1.0
 SETPOINT_TIMEOUT_NS: Final = 3_000_000_000
 """After this silence in GUIDED the vehicle stops by itself; hard-coded in the firmware."""
 SETPOINT_TIMEOUT_TEXT: Final = "target not received last 3secs, stopping"
+DISARMED_TEXT: Final = "Throttle disarmed"
+"""Said whenever it is disarmed, by whomever (Rover's AP_Arming.cpp)."""
 DEFAULT_WP_SPEED_MPS: Final = 3.0
 DEFAULT_ATC_ACCEL_MAX_MPS2: Final = 1.0
 DEFAULT_ATC_STR_RAT_MAX_DPS: Final = 120.0

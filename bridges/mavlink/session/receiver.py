@@ -197,7 +197,11 @@ class Receiver:
         if self.heard_since_ns is None:
             self.heard_since_ns = arrival_ns
         mode = message.custom_mode if message.base_mode & constants.FLAG_CUSTOM_MODE else None
-        armed = bool(message.base_mode & constants.FLAG_ARMED)
+        self._stands(mode, bool(message.base_mode & constants.FLAG_ARMED))
+        self.vehicle_signs = bool(message.get_header().incompat_flags & dialect.MAVLINK_IFLAG_SIGNED)
+
+    def _stands(self, mode: int | None, armed: bool) -> None:
+        """It is in that mode, and armed or not."""
         if mode != self.mode:
             self._commands.no_more(constants.CMD_DO_SET_MODE)
         if armed != self.armed or (mode != self.mode and mode != constants.MODE_GUIDED):
@@ -205,7 +209,6 @@ class Receiver:
         self.mode, self.armed = mode, armed
         if not self._modes or self._modes[-1] != (mode, armed):
             self._modes.append((mode, armed))
-        self.vehicle_signs = bool(message.get_header().incompat_flags & dialect.MAVLINK_IFLAG_SIGNED)
 
     def _valid_ns(self, message: Any, arrival_ns: int) -> int | None:
         """The wall time of a message with a stamp; None for one that is not newer than the last."""
@@ -274,7 +277,10 @@ class Receiver:
             self.origin = origin
 
     def _on_text(self, arrival_ns: int, message: Any) -> None:
-        self._texts.extend(self._text_parts.take(message, arrival_ns))
+        texts = self._text_parts.take(message, arrival_ns)
+        self._texts.extend(texts)
+        if self.armed and any(text.text == constants.DISARMED_TEXT for text in texts):
+            self._stands(self.mode, False)  # armed again at once, no heartbeat would have told
 
     def _on_ack(self, arrival_ns: int, message: Any) -> None:
         system, component = self.own

@@ -195,8 +195,8 @@ class Session(Receiver):
         return _emptied(self._attitudes)
 
     def take_modes(self) -> list[tuple[int | None, bool]]:
-        """Mode and whether it is armed, as its heartbeats since the last call said, each change once. Not
-        only the last: an operator who took the vehicle and gave it back meanwhile has had it."""
+        """Mode and whether it is armed, as it has said since the last call, each change once. Not only the
+        last: an operator who took the vehicle and gave it back meanwhile has had it."""
         return _emptied(self._modes)
 
     def take_texts(self) -> list[Text]:

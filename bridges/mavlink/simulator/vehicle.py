@@ -193,7 +193,7 @@ class Vehicle:
         """Motors off."""
         if self.armed:
             self.armed = False
-            self.say(INFO, "Throttle disarmed")
+            self.say(INFO, constants.DISARMED_TEXT)
 
     def step(self, now_ns: int, dt: float) -> None:
         """One loop: what happened in the last `dt` (s) up to `now_ns`."""

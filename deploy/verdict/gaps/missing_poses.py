@@ -128,13 +128,12 @@ class MissingPoses:
         late = [gap for gap in placed if gap.is_late]
         if len(late) <= FEW_GAPS:
             out = [
-                f"Robot {gap.robot} sent no pose {gap.when}, for its machine was too slow: it moved "
-                f"{gap.moved_m:.2f} m meanwhile."
+                f"Robot {gap.robot} sent no pose {gap.when}, for its machine was too slow{_moved([gap])}."
                 for gap in late
             ]
         else:
             who = f"{_many(late).capitalize()}, for a machine was too slow"
-            out = [f"{who}: they moved up to {_most_moved(late):.2f} m meanwhile."]
+            out = [f"{who}{_moved(late, 'they')}."]
         out += _passed([gap for gap in placed if not gap.is_late])
         for gap in known:
             if gap in placed:
@@ -225,24 +224,18 @@ def _passed(gaps: Sequence[Gap]) -> list[str]:
     for gap in gaps:
         by_robot.setdefault(gap.robot, []).append(gap)
     if len(by_robot) > NAMES_SHOWN:
-        return [
-            f"{_many(gaps).capitalize()}: they moved up to {_most_moved(gaps):.2f} m meanwhile"
-            f"{_no_nearer(gaps)}."
-        ]
+        return [f"{_many(gaps).capitalize()}{_moved(gaps, 'they')}{_no_nearer(gaps)}."]
     out = []
     for robot, each in by_robot.items():
         if len(each) <= FEW_GAPS:
             out += [
-                f"Robot {robot} sent no pose {gap.when}: it moved {gap.moved_m:.2f} m meanwhile"
-                f"{_no_nearer([gap])}."
-                for gap in each
+                f"Robot {robot} sent no pose {gap.when}{_moved([gap])}{_no_nearer([gap])}." for gap in each
             ]
             continue
         longest_s, whole_s = max(gap.lasts_s for gap in each), sum(gap.lasts_s for gap in each)
         out.append(
             f"{len(each)} times from {each[0].start_s:.2f} s to {each[-1].end_s:.2f} s robot {robot} sent no "
-            f"pose, for up to {longest_s:.1f} s and {whole_s:.1f} s together: it moved up to "
-            f"{_most_moved(each):.2f} m meanwhile{_no_nearer(each)}."
+            f"pose, for up to {longest_s:.1f} s and {whole_s:.1f} s together{_moved(each)}{_no_nearer(each)}."
         )
     return out
 
@@ -267,8 +260,12 @@ def _nearest(gaps: Sequence[Gap]) -> Stake | None:
     return min(found, key=lambda stake: stake.least_m - stake.safe_m, default=None)
 
 
-def _most_moved(gaps: Sequence[Gap]) -> float:
-    return max(gap.moved_m for gap in gaps)
+def _moved(gaps: Sequence[Gap], who: str = "it") -> str:
+    """How far these moved, to be put behind a sentence; "" where one began, or ends, without a pose."""
+    most_m = max(gap.moved_m for gap in gaps)
+    if most_m == inf:
+        return ""
+    return f": {who} moved {'up to ' if len(gaps) > 1 else ''}{most_m:.2f} m meanwhile"
 
 
 def _many(gaps: Sequence[Gap]) -> str:

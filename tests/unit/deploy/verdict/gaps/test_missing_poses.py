@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import pytest
@@ -159,6 +160,10 @@ def test_poses_that_many_robots_lack_are_one_sentence() -> None:
         ],
     )
     assert len(gaps_of(3, is_late=True, moved_m=0.02)[1]) == 3
+    _, (unseen, _) = gaps_of(2, is_late=True, moved_m=inf)  # there was no pose before it
+    assert unseen == "Robot 1 sent no pose from 0.10 s to 1.01 s, for its machine was too slow."
+    _, (unseen, _) = gaps_of(2, moved_m=inf)
+    assert unseen == "Robot 1 sent no pose from 0.10 s to 1.01 s."
     near = Stake("robot 7", 0.1, 0.22)
     reasons, warnings = gaps_of(12, moved_m=0.1, stake=near)
     assert (reasons, warnings) == (
