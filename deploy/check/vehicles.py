@@ -99,6 +99,18 @@ def _links(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
                 f"waits on UDP port {at.port}, as robot {first.robot.id} does: each vehicle needs a port "
                 "of its own",
             )
+    systems: dict[int, _Vehicle] = {}
+    for vehicle in vehicles:
+        if vehicle.link.system is None or vehicle.connection is None:
+            continue
+        first = systems.setdefault(vehicle.link.system, vehicle)
+        if first is not vehicle:
+            yield Finding(
+                "warning",
+                f"robot[{vehicle.row}].mavlink.system",
+                f"is {vehicle.link.system}, as that of robot {first.robot.id}: ground stations and routers "
+                "tell vehicles apart by it; give each its own (SYSID_THISMAV or MAV_SYSID of the vehicle)",
+            )
     yield from _shared(
         "warning",
         "mavlink.connection",

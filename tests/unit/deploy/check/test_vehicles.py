@@ -126,6 +126,16 @@ def test_two_vehicles_that_are_waited_for_on_one_port_are_an_error() -> None:
     assert (finding.place, "robot 3" in finding.message) == ("robot[5].mavlink.connection", True)
 
 
+def test_two_vehicles_of_one_system_id_are_a_warning() -> None:
+    second, third = (f"robot.{k}.mavlink.connection=tcp:10.0.0.{k}:5760" for k in (2, 3))
+    place = "robot[3].mavlink.system"
+    same = found(second, third, "robot.2.mavlink.system=7", "robot.3.mavlink.system=7")
+    assert same[place].level == "warning"
+    assert same[place].message.startswith("is 7, as that of robot 2: ")
+    assert place not in found(second, third, "robot.2.mavlink.system=7", "robot.3.mavlink.system=8")
+    assert place not in found(second, third)
+
+
 def test_vehicles_and_datum_are_described() -> None:
     text = describe(rovers())
     assert "datum: x = 0, y = 0 is at -35.3632610, 149.1652300, 584 m above the sea" in text
