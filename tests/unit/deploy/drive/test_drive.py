@@ -231,7 +231,7 @@ def test_a_stop_that_comes_in_between_holds() -> None:
     ("history", "why"),
     [
         ((over(), STOP), "were told to stop at"),
-        ((over()._replace(duration_ns=900 * S),), "two is driving already"),
+        ((over()._replace(duration_ns=90_000 * S),), "two is driving already"),
         ((over()._replace(digest="0123456789abcdef"),), "read another fleet file"),
     ],
 )
