@@ -85,32 +85,36 @@ def _shared(
         yield Finding(level, f"robot[{found[0].row}].{field}", text.replace("{who}", who))
 
 
+def _again(
+    vehicles: list[_Vehicle], found: Callable[[_Vehicle], object]
+) -> Iterator[tuple[_Vehicle, object, _Vehicle]]:
+    """Vehicles that have the same as one before, if anything: what that is, and which has it first."""
+    firsts: dict[object, _Vehicle] = {}
+    for vehicle in vehicles:
+        it = found(vehicle)
+        if it is not None and firsts.setdefault(it, vehicle) is not vehicle:
+            yield vehicle, it, firsts[it]
+
+
+def _listens_at(vehicle: _Vehicle) -> int | None:
+    at = vehicle.connection
+    return at.port if at is not None and at.kind == "udpin" else None
+
+
 def _links(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
-    listeners: dict[int, _Vehicle] = {}
-    for vehicle in vehicles:
-        at = vehicle.connection
-        if at is None or at.kind != "udpin":
-            continue
-        first = listeners.setdefault(at.port, vehicle)
-        if first is not vehicle:
-            yield Finding(
-                "error",
-                f"robot[{vehicle.row}].mavlink.connection",
-                f"waits on UDP port {at.port}, as robot {first.robot.id} does: each vehicle needs a port "
-                "of its own",
-            )
-    systems: dict[int, _Vehicle] = {}
-    for vehicle in vehicles:
-        if vehicle.link.system is None or vehicle.connection is None:
-            continue
-        first = systems.setdefault(vehicle.link.system, vehicle)
-        if first is not vehicle:
-            yield Finding(
-                "warning",
-                f"robot[{vehicle.row}].mavlink.system",
-                f"is {vehicle.link.system}, as that of robot {first.robot.id}: ground stations and routers "
-                "tell vehicles apart by it; give each its own (SYSID_THISMAV or MAV_SYSID of the vehicle)",
-            )
+    for vehicle, port, first in _again(vehicles, _listens_at):
+        yield Finding(
+            "error",
+            f"robot[{vehicle.row}].mavlink.connection",
+            f"waits on UDP port {port}, as robot {first.robot.id} does: each vehicle needs a port of its own",
+        )
+    for vehicle, system, first in _again(vehicles, lambda each: each.connection and each.link.system):
+        yield Finding(
+            "warning",
+            f"robot[{vehicle.row}].mavlink.system",
+            f"is {system}, as that of robot {first.robot.id}: ground stations and routers tell vehicles "
+            "apart by it; give each its own (SYSID_THISMAV or MAV_SYSID of the vehicle)",
+        )
     yield from _shared(
         "warning",
         "mavlink.connection",

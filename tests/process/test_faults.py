@@ -70,7 +70,7 @@ def rule(folder: Path, text: str) -> tuple[str, str]:
 def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
     """Set and cleared by one operator; those of another who is killed end with their lease."""
     cut = ("--link", "1->2", "--loss", "100%")
-    with running_pair(tmp_path / "run", 120) as (name, run):
+    with running_pair(tmp_path / "run", 30) as (name, run):
         status, out = told(tmp_path, "faults", "set", name, *cut, "--name", "first", "--stay")
         assert (status, out) == (0, f"4 of 4 agents and plants of {name} took it\n")
         run.wait_for_line(r"faults: live loss 100% on 1->2 \(")
@@ -87,8 +87,7 @@ def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
             second.process.kill()
             killed_ns, before = time.time_ns(), len(run.err)
         wait_for(lambda: HEALED.search(run.err, before), "a drive without faults", report=run.told)
-        run.process.send_signal(signal.SIGINT)
-        assert run.wait() == 130, run.told()
+        assert run.wait() == 0, run.told()
     recording = read_run(tmp_path / "run" / "out")
     links = decided(recording)
     assert list(links) == [Link(1, 2, "hand")]
