@@ -28,8 +28,9 @@ QUICK := not process and not slow and not autopilot and not compiled
 REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
 # What users add in Python must work with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
-# Tests that start processes mostly wait; those of one module share what it has set up.
-WAITING := -n 3 --dist loadfile --no-loadscope-reorder
+# Of the tests that start processes those of one module share what it has set up. All of tests/hosts
+# are one worker's, which has them as long as another has the rest: a third would only make both late.
+WAITING := -n 2 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(abspath $(JUNIT))/$(1).xml)
 
 .PHONY: help demo test test-compiled check lint format bench docs lock setup compiled clean FORCE

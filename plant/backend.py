@@ -123,6 +123,10 @@ class VirtualBody(PlantBackend, Protocol):
         """Where it was (W) at the last step."""
         ...
 
+    def alone(self, now_ns: int) -> None:
+        """Lets time pass, until `now_ns`, in which no process steps it: a vehicle goes on by itself."""
+        return None
+
 
 class Begin(NamedTuple):
     """How a body begins.

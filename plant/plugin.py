@@ -18,7 +18,7 @@ from agent.control.hand import Pose
 from agent.fleet import plants
 from agent.fleet.model import Fleet
 from agent.messages.types import FLOAT_MAX, FUTURE_NS_MAX, LEVELS, TEXT_MAX
-from plant.backend import Begin, Check, Command, Plant, PlantBackend, Reading, Setup
+from plant.backend import Begin, Check, Command, Plant, Reading, Setup, VirtualBody
 
 T = TypeVar("T")
 
@@ -27,7 +27,7 @@ LATE_STEPS: Final = 20
 """So many steps one after another make a body slow: a single one may be the machine's doing."""
 
 
-class PluginBody(PlantBackend):
+class PluginBody(VirtualBody):
     """The body `plant`, an instance of the class `name`.
 
     Args:

@@ -16,7 +16,7 @@ from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.messages.types import ACTS_PERIODS
-from plant.backend import COAST, Begin, Command, PlantBackend, Reading
+from plant.backend import COAST, Begin, Command, Reading, VirtualBody
 
 TURN_MAX: Final = 0.5
 """Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path,
@@ -123,8 +123,8 @@ def _limited(value: float, limit: float | None) -> float:
     return value if limit is None else min(limit, max(-limit, value))
 
 
-class Unicycle(PlantBackend):
-    """The simulated body of one robot, a `plant.backend.PlantBackend`.
+class Unicycle(VirtualBody):
+    """The simulated body of one robot, a `plant.backend.VirtualBody`.
 
     Args:
         body: its mass, inertia, limits, lag and start.

@@ -205,8 +205,10 @@ class ConstraintAssembly:
             return
         own, name = scene.own, peer.name
         age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
-        if peer.message is not None and peer.rolls_on:
-            self._keep_from_rolling(scene, name, peer.message, age - AHEAD_S, belief.doubt + ROLL_ERROR)
+        lost = peer.went is not None and self._peers.lost.is_sure(peer, scene.now_ns)
+        if peer.went is not None:
+            rank = safety_filter.SEPARATION if lost else safety_filter.UNSURE
+            self._keep_from_rolling(scene, peer, peer.went.doubt + ROLL_ERROR, rank)
         speed, growing = hypot(own.vx, own.vy), growth(age)
         depth, deepest = 0.0, None
         for stretch in belief.stretches:
@@ -230,27 +232,27 @@ class ConstraintAssembly:
                 depth, deepest = gap - rho, plane
         if deepest is not None:
             scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True, body=True))
-            if deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
+            if lost:
+                scene.planes.append(deepest._replace(rank=safety_filter.UNSURE))
+            elif deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
                 rate = self._barrier_rate
                 stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)
                 scene.stops.extend(stop)
                 scene.planes.extend(stop)
 
-    def _keep_from_rolling(
-        self, scene: Scene, name: str, message: HandState, age: float, doubt: float
-    ) -> None:
+    def _keep_from_rolling(self, scene: Scene, peer: Peer, doubt: float, rank: int) -> None:
         """The half plane against where it rolls now if nothing commands it any more: it will not brake, and
-        who only brakes in front of it is run over. It gives way to all that is known."""
-        own, there = scene.own, self._peers.forecast.rolling(message, age)
+        who only brakes in front of it is run over."""
+        own, there = scene.own, self._peers.lost.hand(peer, scene.now_ns)
         if there is None:
             return
         dx, dy = own.x - there.x, own.y - there.y
         gap = self._safe_distance + self._margin + doubt
         if hypot(dx, dy) < self._proximity.sensing + gap:
-            velocity, rate, rank = (own.vx, own.vy), self._barrier_rate, safety_filter.UNSURE
+            velocity, rate = (own.vx, own.vy), self._barrier_rate
             scene.planes.append(
                 safety_filter.keep_apart(
-                    name, (dx, dy), velocity, (there.vx, there.vy), gap, rate, alone=True, rank=rank
+                    peer.name, (dx, dy), velocity, (there.vx, there.vy), gap, rate, alone=True, rank=rank
                 )
             )
 

@@ -335,7 +335,7 @@ class Controller:
     def evasion(self, plant: PlantState, now_ns: int) -> tuple[float, float] | None:
         """Force (N) and torque (N m) that get a robot that is to stand out of the way of vehicles that roll
         on, though nothing commands them (S3); None where braking does as well. Its numbers may be absurd."""
-        rolling = {peer.name for peer in self.peers.known if self.peers.rolls(peer, now_ns)}
+        rolling = {peer.name for peer in self.peers.known if self.peers.lost.may_roll(peer, now_ns)}
         if not rolling or not self.proximity.enabled:
             return None
         acting_ns = self.acting_ns(now_ns)

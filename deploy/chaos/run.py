@@ -18,6 +18,7 @@ import tomli_w
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
 from deploy.analysis.balance import caught
+from deploy.chaos.unseen_approaches import UnseenApproaches
 from deploy.console.wording import error_text
 from deploy.recording.recording import Recording
 from deploy.simulate.judged import drive as simulate
@@ -87,7 +88,9 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     begun_s = time.perf_counter()
     fleet = resolved(parse_fleet(text, source=source))
     try:
-        outcome = judged(RunResult(simulate(fleet, go_on)))
+        unseen = UnseenApproaches(fleet)
+        outcome = judged(RunResult(simulate(fleet, go_on, unseen.look)))
+        outcome = replace(outcome, violations=(*outcome.violations, *unseen.violations()))
     except Abandoned:
         raise
     except Exception as error:

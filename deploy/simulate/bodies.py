@@ -26,3 +26,7 @@ class Bodies:
         body: VirtualBody = make(self._fleet, robot, Begin(now_ns, at, before))
         self._bodies[robot] = body
         return body
+
+    def there(self, robot: int) -> VirtualBody:
+        """The body that a robot has."""
+        return self._bodies[robot]

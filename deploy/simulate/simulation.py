@@ -19,6 +19,7 @@ from math import ceil
 from typing import Final
 
 from agent.common.time import NS_PER_MS, NS_PER_S, LocalTime
+from agent.control.hand import Pose
 from agent.core import Agent
 from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
@@ -316,7 +317,31 @@ class Simulation:
                 self.publish(key, payload)
             heapq.heapreplace(due, (host.due_ns, order, life))
 
+    def runs(self, robot: int, role: str) -> bool:
+        """Whether a process (`role` "agent" or "plant") is there, and goes on."""
+        host = self._hosts[self._order[robot, role]]
+        return host.up and not host.paused
+
+    def poses(self) -> list[Pose]:
+        """Where the bodies truly are (W), in the order of the robots: a vehicle goes on without a bridge."""
+        found = []
+        for robot in self.fleet.ids:
+            body = self._bodies.there(robot)
+            if not self.runs(robot, "plant"):
+                body.alone(self._clocks[robot].local_ns(self.now_ns))
+            found.append(body.pose)
+        return found
+
     # ------------------------------------------------------------------ what rules do to processes
+
+    def every(self, period_ns: int, do: Callable[[], None]) -> None:
+        """Calls `do` now, and after every such period from then on."""
+
+        def again() -> None:
+            do()
+            self._at(self.now_ns + period_ns, again)
+
+        self._at(self.now_ns, again)
 
     def _at(self, time_ns: int, do: Callable[[], None]) -> None:
         """Does `do` at a time; of one time, what was asked for first comes first."""

@@ -28,10 +28,10 @@ DURATION_S = 14.0
 DOWN_S = 5
 
 
-def killed(robot: int, what: str, at: float) -> Fleet:
+def killed(robot: int, what: str, at: float, more: str = "") -> Fleet:
     """The bundled rovers; what is killed of one of them is there again `DOWN_S` later."""
     rule = f'\n[[faults.rule]]\nrobot = {robot}\nkill = "{what}"\nat = {at}\nfor = {DOWN_S}\n'
-    text = (FLEETS / "rovers.toml").read_text(encoding="utf-8") + rule
+    text = (FLEETS / "rovers.toml").read_text(encoding="utf-8") + rule + more
     return resolved(parse_fleet(text, source="here", overrides=[f"fleet.duration_s={DURATION_S}"]))
 
 
@@ -45,6 +45,20 @@ def killed(robot: int, what: str, at: float) -> Fleet:
 )  # fmt: skip
 def test_a_bridge_that_is_killed_while_they_come_together(robot: int, what: str, at: float) -> None:
     fleet = killed(robot, what, at)
+    assert driven(fleet).pairs.min() >= fleet.formation.safe_distance_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("what", "at", "cut_at"),
+    [("plant", 1.7, 2.4), ("plant", 1.8, 2.7), ("plant", 1.5, 2.2), ("both", 1.8, 2.3)],
+)
+def test_one_that_is_cut_off_gets_out_of_the_way_of_whom_it_knew_to_be_lost(
+    what: str, at: float, cut_at: float
+) -> None:
+    """A stranger's find: robot 3 heard nobody, took all for lost alike, and found no way out between them."""
+    cut = f'\n[[faults.rule]]\npartition = "alone 3"\nat = {cut_at}\nfor = 4\n'
+    fleet = killed(2, what, at, cut)
     assert driven(fleet).pairs.min() >= fleet.formation.safe_distance_m
 
 

@@ -31,6 +31,8 @@ class Peer:
         mark: version and tag of the mission that it has acknowledged.
         rolls_on: whether its body goes on as it went when nothing commands it
             (`agent.fleet.plants.Kind.rolls_on_s`).
+        went: its latest message of a body that is measured and moves, of one that rolls on; None once it says
+            that it stands, or drives again.
         deaf: whether it says that it does not hear this robot.
         unheard: how many robots it says that it does not hear.
         knows_ns: of when (own clock) what it knows of this robot is, by what it said last while it did not
@@ -59,13 +61,14 @@ class Peer:
         "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
         "late_max_ns", "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns",
         "off_m", "other_version", "received", "robot", "rolls_on", "sequence", "slowly",
-        "slowly_until_ns", "stood_until_ns", "time_ns", "token", "trust", "unheard",
+        "slowly_until_ns", "stood_until_ns", "time_ns", "token", "trust", "unheard", "went",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int, next_ns: int, *, rolls_on: bool = False) -> None:
         self.robot, self.name, self.rolls_on = robot, f"robot {robot}", rolls_on
         self.next_ns, self.listened = next_ns, False
         self.message: HandState | None = None
+        self.went: HandState | None = None
         self.early: HandState | None = None
         self.time_ns = self.hand_ns = self.beacon_ns = self.direct_ns = NEVER
         self.sequence = self.gone_ns = self.knows_ns = NEVER
@@ -107,6 +110,13 @@ class Peer:
         lateness = self.lateness
         by_ns = self.hand_ns + self.hand_next_ns + lateness.missed_ns
         return now_ns + self.clock.used_ns - min(by_ns, self.direct_ns) - lateness.forgiven_ns
+
+    def note_way(self, message: HandState) -> None:
+        """Keeps how its body goes, for when only where it may be is told of it (`OwnHand.lost`)."""
+        if message.obeys:
+            self.went = message
+        elif message.following or message.doubt <= DOUBT_MAX:
+            self.went = None
 
     @property
     def is_gone(self) -> bool:

@@ -15,9 +15,7 @@ from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.control.peers.beliefs import (
-    stood_between,
-)
+from agent.control.peers.beliefs import stood_between
 from agent.control.peers.forecast import Forecast, Motion
 from agent.control.peers.lateness import (
     IN_TIME_NS,
@@ -27,6 +25,7 @@ from agent.control.peers.lateness import (
     UNSURE_NS,
     missed_at_least,
 )
+from agent.control.peers.lost_vehicles import LostVehicles
 from agent.control.peers.peer import NEVER, Peer
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
 from agent.control.peers.rolling import Rolls
@@ -67,7 +66,8 @@ class Peers:
         missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
-        whereabouts: where those may be that are not heard; rows: what others are told of them.
+        whereabouts: where those may be that are not heard; rows: what others are told of them; lost: which of
+            them roll on.
         listened: the robots whose hand states are listened to.
     """
 
@@ -108,6 +108,7 @@ class Peers:
         self._rolls_on = frozenset(rolls_on or ())
         self._known = {robot: self._peer(robot) for robot in starts}
         self.whereabouts: Final = Whereabouts(self.forecast, starts, horizon_s)
+        self.lost: Final = LostVehicles(self._known, self.forecast)
         self.rows: Final = SilentRows(
             self._known, self.whereabouts, self.forecast, starts, horizon_s, is_large=self._rest_ns > 0
         )
@@ -257,6 +258,8 @@ class Peers:
                 said.doubt,
                 beacon.obeys(said.robot),
             )
+            if peer.rolls_on:
+                peer.note_way(peer.message)
             peer.far_until_ns = 0
             age_ns = beacon.time_ns - said.time_ns
             lately = said.following and age_ns < self._horizon_s * NS_PER_S
@@ -267,14 +270,6 @@ class Peers:
     def silent(self, now_ns: int) -> tuple[Silent, ...]:
         """What a beacon tells of robots that are not heard."""
         return self.rows.at(now_ns, was_there=self.was_there, missed_ns=self.missed_ns)
-
-    def rolls(self, peer: Peer, now_ns: int) -> bool:
-        """Whether the body of a robot that is not heard may roll on, as nothing commands it."""
-        message = peer.message
-        if not peer.rolls_on or message is None or peer.is_gone or peer.is_heard(now_ns):
-            return False
-        age_s = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
-        return self.forecast.rolling(message, age_s) is not None
 
     def rolling(self, silent: Iterable[Silent]) -> Iterator[Rolling]:
         """How the bodies of these go on, as far as it is known."""
@@ -344,6 +339,8 @@ class Peers:
             beacon.doubt,
             beacon.obeys(beacon.robot),
         )
+        if peer.rolls_on:
+            peer.note_way(peer.message)
         if peer.hand_next_ns and before is not None and since_ns <= peer.hand_next_ns:
             peer.message = self.forecast.forces_of(before, peer.message)
         peer.time_ns = time_ns
@@ -440,6 +437,8 @@ class Peers:
         if time_ns >= peer.time_ns:  # of one tick it says more than a beacon
             peer.time_ns = time_ns
             peer.message = message
+            if peer.rolls_on:
+                peer.note_way(message)
             peer.belief = None
             peer.far_until_ns = 0
             peer.here = peer.token

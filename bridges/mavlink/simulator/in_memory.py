@@ -13,7 +13,7 @@ from bridges.mavlink.ardupilot import frames
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import settings_of
-from plant.backend import Begin, Check, Command, PlantBackend, Reading, Said
+from plant.backend import Begin, Check, Command, Reading, Said, VirtualBody
 
 LATENCY_NS: Final = 2_000_000
 """One way, between bridge and vehicle: as over a network on one machine."""
@@ -68,7 +68,7 @@ class MemoryTransport:
         """See `Transport.close`."""
 
 
-class SimulatedRoverPlant(PlantBackend):
+class SimulatedRoverPlant(VirtualBody):
     """The bridge of one robot with the rover that it is joined to, as one body.
 
     Attributes:
@@ -94,6 +94,10 @@ class SimulatedRoverPlant(PlantBackend):
         rover = self.rover
         x, y = frames.geodetic_to_world(self._datum, rover.place)
         return Pose(x, y, frames.heading_from_yaw(rover.yaw), rover.speed, frames.yaw_rate(rover.yaw_rate))
+
+    def alone(self, now_ns: int) -> None:
+        """See `VirtualBody.alone`."""
+        self.transport.advance(now_ns)
 
     def clear_to_drive(self) -> None:
         """See `PlantBackend.clear_to_drive`."""

@@ -13,6 +13,7 @@ from agent.fleet.plants import KINDS
 from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.draw_formation import draw_lattice
 from deploy.chaos.profiles import pieces
+from deploy.chaos.profiles.encounters import Encounter, encounters
 
 ROBOTS: Final = (2, 6)
 SAFE_M: Final = 1.0
@@ -32,6 +33,13 @@ SECOND: Final = 0.3
 """Share of the scenarios in which something happens to another one soon after..."""
 SECOND_OF: Final = 4
 """...of so many robots at least: two that nobody commands may roll into each other."""
+CUT_OFF: Final = 0.4
+"""Share of the scenarios in which one dies that rolls at another, who hears nobody, and nobody it, soon
+after..."""
+CUT_OFF_OF: Final = 6
+"""In a crowd: who hears nobody has to keep away from where each of them may be..."""
+CUT_OFF_S: Final = (1.0, 6.0)
+"""...for so long: it knows that this one rolls, and not what the others do."""
 STOPPED: Final = 0.5
 ROLLED_S: Final = 4.5
 """Share of those in which an operator stops all before, so long at least after the last that happens: whom
@@ -48,7 +56,9 @@ _DATUM: Final = {"latitude_deg": -35.363261, "longitude_deg": 149.16523, "altitu
 def draw_rovers(seed: int) -> Tables:
     """The tables of the fleet file of this seed."""
     dice = Dice("rovers", seed)
-    ids = list(range(1, dice.whole(*ROBOTS) + 1))
+    aimed = Dice("rovers cut off", seed)
+    cuts = aimed.chance(CUT_OFF)
+    ids = list(range(1, (CUT_OFF_OF if cuts else dice.whole(*ROBOTS)) + 1))
     shape = draw_lattice(Dice("shape", seed), ids, dice.between(*SPACING_M, 1))
     speed = dice.between(*SPEED_MPS, 2)
     course = pieces.line(dice.between(*COURSE_SHARES) * speed, dice.between(0.0, 6.283))
@@ -56,6 +66,9 @@ def draw_rovers(seed: int) -> Tables:
     rules = [_rule(dice, 1, first, dice.between(*DIES_S, 2))]
     if dice.chance(SECOND) and len(ids) >= SECOND_OF:
         rules.append(_rule(dice, 2, second, round(rules[0]["at"] + dice.between(0.0, 3.0), 2)))
+    hands = pieces.scattered(dice, shape.offsets, SCATTER_M, APART_M)
+    if cuts and (met := encounters(hands, shape.offsets, speed)):
+        rules = _aimed(aimed, aimed.pick(met))
     last_s = max(rule["at"] + rule.get("for", 0.0) for rule in rules)
     orders: list[Tables] = []
     if dice.chance(ORDERED):
@@ -73,7 +86,6 @@ def draw_rovers(seed: int) -> Tables:
         "connection": "simulator",
         "max_speed_mps": speed, "max_acceleration": 0.8, "max_yaw_rate_radps": 1.0,
     }  # fmt: skip
-    hands = pieces.scattered(dice, shape.offsets, SCATTER_M, APART_M)
     body = {"mass_kg": 20.0, "inertia_kgm2": 1.2, "hand_offset_m": REACH_M}
     tables: Tables = {
         "fleet": pieces.fleet(seed, RATE_HZ, last_s + QUIET_S),
@@ -100,5 +112,17 @@ def _rule(dice: Dice, number: int, robot: int, at: float) -> Tables:
         return rule | {"kill": role}
     down_s = dice.between(*DOWN_S, 2)
     if what == "partition":
-        return {"name": f"links {number}", "partition": f"alone {robot}", "at": at, "for": down_s}
+        return _cut_off(f"links {number}", robot, at, down_s)
     return rule | {what: role, "for": down_s}
+
+
+def _aimed(dice: Dice, met: Encounter) -> list[Tables]:
+    """One that rolls at another, which is cut off."""
+    kill = {"robot": met.rolls, "kill": dice.pick(("plant", "both")), "at": met.at_s}
+    lasts = {"for": dice.between(*DOWN_S, 2)} if dice.chance(0.7) else {}
+    cut = _cut_off("links of whom it meets", met.other, met.cut_s, dice.between(*CUT_OFF_S, 2))
+    return [{"name": "rolls", **kill, **lasts}, cut]
+
+
+def _cut_off(name: str, robot: int, at_s: float, for_s: float) -> Tables:
+    return {"name": name, "partition": f"alone {robot}", "at": at_s, "for": for_s}

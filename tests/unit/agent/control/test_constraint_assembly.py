@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, pi
 from typing import Any
 
 import pytest
@@ -110,6 +110,7 @@ def test_from_where_a_vehicle_rolls_that_nobody_hears_it_gets_away_and_not_only_
     peer = robot.peers.get(3)
     assert peer.message is not None
     peer.message = peer.message._replace(obeys=((heading, speed, yaw_rate),))
+    peer.note_way(peer.message)
     there = rolled(peer.message.x, peer.message.y, (heading, speed, yaw_rate), 0.1, since_s)
     planes = [each for each in robot.scene(T0 + round(since_s * S)).planes if each.cause == "robot 3"]
     away = -there.x + 0.1, -there.y
@@ -118,6 +119,23 @@ def test_from_where_a_vehicle_rolls_that_nobody_hears_it_gets_away_and_not_only_
     if flees:
         (plane,) = pushes
         assert plane.nx == pytest.approx(away[0] / hypot(*away), abs=1e-6)
+
+
+def test_from_one_that_is_known_to_be_lost_it_gets_away_as_from_what_is_known_and_off_its_way() -> None:
+    """Robot 2 is heard a second later: robot 3 has fallen silent alone, and rolls on past robot 1."""
+    robot = Robot(1.0, coming=0.5, text=ROVERS)
+    peer = robot.peers.get(3)
+    assert peer.message is not None
+    peer.message = peer.message._replace(y=0.15, obeys=((pi, 0.5, 0.0),))
+    peer.note_way(peer.message)
+    later = HandState.placed(2, 1, T0 + S, True, 1, (5.0, 5.0, 0.0, 0.0))
+    assert robot.peers.accept(later, T0 + S + S // 10) is None
+    planes = [each for each in robot.scene(T0 + round(1.3 * S)).planes if each.cause == "robot 3"]
+    pushes = {each.rank: each for each in planes if each.least > 0.0}
+    assert set(pushes) == {SEPARATION, UNSURE}
+    ahead, beside = pushes[SEPARATION], pushes[UNSURE]
+    assert ahead.nx < -0.8, "from where it is now"
+    assert beside.ny < min(-0.7, ahead.ny - 0.2), "rather off its way"
 
 
 @pytest.mark.parametrize(("text", "seen"), [(FLEET, False), (ROVERS, True)])

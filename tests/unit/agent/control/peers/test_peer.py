@@ -49,14 +49,14 @@ def test_one_rolls_on_that_is_not_heard_until_its_watchdog_has_stopped_it():
     known = peers(rolls_on={2: ROLLS})
     heard(known, message(2, 0, T0, velocity=(1.0, 0.0))._replace(obeys=((0.0, 1.0, 0.1),)))
     peer = known.get(2)
-    assert [known.rolls(peer, T0 + round(at * S)) for at in (0.1, 1.0, 3.4, 3.6)] == [
+    assert [known.lost.may_roll(peer, T0 + round(at * S)) for at in (0.1, 1.0, 3.4, 3.6)] == [
         False,
         True,
         True,
         False,
     ]
     heard(known, message(2, 1, T0 + PERIOD, velocity=(1.0, 0.0)), now_ns=T0 + 2 * PERIOD)
-    assert not known.rolls(peer, T0 + S), "one that does not say what it obeys"
+    assert not known.lost.may_roll(peer, T0 + S), "one that does not say what it obeys"
 
 
 def test_how_far_it_may_be_off_meanwhile_is_doubt():
