@@ -66,8 +66,8 @@ class UnseenApproaches:
                 SEPARATION,
                 each.t_s,
                 f"Robots {each.unseen} and {each.other} truly came within {each.distance_m:.3f} m of each "
-                f"other at {each.t_s:.2f} s, while nothing commanded robot {each.unseen}; the safe distance is "
-                f"{self._safe_m:.3f} m.",
+                f"other at {each.t_s:.2f} s, while nothing commanded robot {each.unseen}; the safe distance "
+                f"is {self._safe_m:.3f} m.",
             )
             for each in sorted(self._unsafe.values())
         ]
