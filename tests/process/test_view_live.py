@@ -102,6 +102,7 @@ MIDDLE_OF_LINK = (
 )
 
 
+@pytest.mark.alone  # beside others the machine may run late, and a fleet stands as long as it does
 def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
     with (
         driving(tmp_path / "run", "delta", 120) as (name, run),
