@@ -126,7 +126,7 @@ def _ended(ids: Sequence[int], state: str, reason: str) -> str:
     they, its = ("it", "its") if len(ids) == 1 else ("they", "their")
     why = f" ({reason})" if reason else ""
     meaning = {
-        State.FAULT.value: f"{they} braked because something of {its} own was wrong",
+        State.FAULT.value: f"{they} did not drive on, as something of {its} own was wrong",
         State.HOLDING.value: f"{they} braked, and waited until {they} might drive again",
     }.get(state, f"{they} did not drive")
     return f"{robots(ids).capitalize()} ended the drive in state {state}: {meaning}{why}."

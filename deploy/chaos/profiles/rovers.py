@@ -66,8 +66,8 @@ def draw_rovers(seed: int) -> Tables:
     rules = [_rule(dice, 1, first, dice.between(*DIES_S, 2))]
     if dice.chance(SECOND) and len(ids) >= SECOND_OF:
         rules.append(_rule(dice, 2, second, round(rules[0]["at"] + dice.between(0.0, 3.0), 2)))
-    hands = pieces.scattered(dice, shape.offsets, SCATTER_M, APART_M)
-    if cuts and (met := encounters(hands, shape.offsets, speed)):
+    hands = pieces.scattered(aimed, shape.offsets, SCATTER_M, APART_M) if cuts else {}
+    if met := encounters(hands, shape.offsets, speed):
         rules = _aimed(aimed, aimed.pick(met))
     last_s = max(rule["at"] + rule.get("for", 0.0) for rule in rules)
     orders: list[Tables] = []
@@ -86,6 +86,7 @@ def draw_rovers(seed: int) -> Tables:
         "connection": "simulator",
         "max_speed_mps": speed, "max_acceleration": 0.8, "max_yaw_rate_radps": 1.0,
     }  # fmt: skip
+    hands = hands or pieces.scattered(dice, shape.offsets, SCATTER_M, APART_M)
     body = {"mass_kg": 20.0, "inertia_kgm2": 1.2, "hand_offset_m": REACH_M}
     tables: Tables = {
         "fleet": pieces.fleet(seed, RATE_HZ, last_s + QUIET_S),

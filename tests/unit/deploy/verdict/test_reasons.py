@@ -91,7 +91,7 @@ def test_what_oracles_say_of_the_end_is_said_once() -> None:
 @pytest.mark.parametrize(
     ("state", "reason", "sentence"),
     [
-        ("fault", "why", "in state fault: it braked because something of its own was wrong (why)."),
+        ("fault", "why", "in state fault: it did not drive on, as something of its own was wrong (why)."),
         ("holding", "", "in state holding: it braked, and waited until it might drive again."),
         ("waiting", "no mission", "in state waiting: it did not drive (no mission)."),
         ("running", "", None),
@@ -277,7 +277,7 @@ def test_a_drive_that_ends_because_every_plant_fails_says_why() -> None:
     """The poses end before the agents say what is wrong."""
     why = "(plant unhealthy: plant my:Plant: late)."
     assert judged(PAIR, faulted(1.0, 1, 2))["verdict"]["reasons"] == [
-        f"Robots 1 and 2 ended the drive in state fault: they braked because something of their own was "
+        f"Robots 1 and 2 ended the drive in state fault: they did not drive on, as something of their own was "
         f"wrong {why}",
         "The run ended after 1.0 s of the 2.0 s that were planned: no robot could drive any more.",
     ]
@@ -285,7 +285,7 @@ def test_a_drive_that_ends_because_every_plant_fails_says_why() -> None:
     late = judged(PAIR, [*faulted(1.0, 1, 2), stop])
     assert late["verdict"] == judged(PAIR, faulted(1.0, 1, 2))["verdict"]
     assert judged(PAIR, faulted(1.0, 2))["verdict"]["reasons"] == [
-        f"Robot 2 ended the drive in state fault: it braked because something of its own was wrong {why}",
+        f"Robot 2 ended the drive in state fault: it did not drive on, as something of its own was wrong {why}",
         "The data are incomplete: robot 2 sent no pose from 0.98 s to 2.00 s.",
     ]
 
