@@ -277,8 +277,8 @@ def test_a_drive_that_ends_because_every_plant_fails_says_why() -> None:
     """The poses end before the agents say what is wrong."""
     why = "(plant unhealthy: plant my:Plant: late)."
     assert judged(PAIR, faulted(1.0, 1, 2))["verdict"]["reasons"] == [
-        f"Robots 1 and 2 ended the drive in state fault: they did not drive on, as something of their own was "
-        f"wrong {why}",
+        f"Robots 1 and 2 ended the drive in state fault: they did not drive on, as something of their own "
+        f"was wrong {why}",
         "The run ended after 1.0 s of the 2.0 s that were planned: no robot could drive any more.",
     ]
     stop: Sent = (at_ns := EPOCH_NS + 1_800_000_000, key_expressions.stop(NAME), Stop(1, at_ns, "enough"))

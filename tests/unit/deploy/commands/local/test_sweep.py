@@ -67,5 +67,6 @@ def test_a_law_that_fails_in_mid_drive_is_named(
     assert cli.main(["sweep", *named, *told]) == 0
     assert (
         "\n1 of 2 runs ended with robots in fault; run 1: Robots 1 and 2 ended the drive in state fault: "
-        "they did not drive on, as something of their own was wrong (law late_of_sweep:Late: RuntimeError: too late"
+        "they did not drive on, as something of their own was wrong (law late_of_sweep:Late: RuntimeError: "
+        "too late"
     ) in capsys.readouterr().out
