@@ -285,7 +285,8 @@ def test_a_drive_that_ends_because_every_plant_fails_says_why() -> None:
     late = judged(PAIR, [*faulted(1.0, 1, 2), stop])
     assert late["verdict"] == judged(PAIR, faulted(1.0, 1, 2))["verdict"]
     assert judged(PAIR, faulted(1.0, 2))["verdict"]["reasons"] == [
-        f"Robot 2 ended the drive in state fault: it did not drive on, as something of its own was wrong {why}",
+        f"Robot 2 ended the drive in state fault: it did not drive on, as something of its own "
+        f"was wrong {why}",
         "The data are incomplete: robot 2 sent no pose from 0.98 s to 2.00 s.",
     ]
 
