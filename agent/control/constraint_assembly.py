@@ -233,7 +233,7 @@ class ConstraintAssembly:
         if deepest is not None:
             scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True, body=True))
             if lost:
-                scene.planes.append(deepest._replace(rank=safety_filter.UNSURE))
+                scene.planes.append(deepest._replace(rank=safety_filter.SEPARATION))
             elif deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
                 rate = self._barrier_rate
                 stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)

@@ -9,7 +9,7 @@ from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.prediction import BRAKING_TIME_S
-from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc, moves
+from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc, middle, moves
 from agent.messages.types import FLOAT_MAX, PlantState, Setpoint
 
 LAST_PLACE_NS: Final = NS_PER_S
@@ -27,7 +27,8 @@ class OwnHand:
         here: where it is (m, m/s, W), None when the plant does not say.
         shown: `here`, or where it must be since; None when the plant was lost long ago.
         doubt: how far it may be from `shown`, m.
-        obeys: what the body goes on by when nothing commands it any more, while it is measured and moves.
+        obeys: what the body goes on by when nothing commands it any more, while it is measured and moves;
+            once it is lost, what it went on by since it was measured last.
     """
 
     def __init__(self, controller: Controller, rolls: Rolls | None = None) -> None:
@@ -78,7 +79,7 @@ class OwnHand:
         """Of a body with a watchdog of its own: it may stand where it was measured last, or go on as it went
         until that stops it. All of this way is told at once, as a circle, for as long as it may roll: its
         agent may be the next that is not heard."""
-        _, xs, ys = zip(*arc(near.x, near.y, obeys, rolls), strict=True)
-        x, y = 0.5 * (min(xs) + max(xs)), 0.5 * (min(ys) + max(ys))
-        self.doubt = ROLL_ERROR + max(hypot(x - at_x, y - at_y) for at_x, at_y in zip(xs, ys, strict=True))
-        self.shown = Hand(x, y, 0.0, 0.0)
+        way = arc(near.x, near.y, obeys, rolls)
+        x, y = middle(way)
+        self.doubt = ROLL_ERROR + max(hypot(x - at_x, y - at_y) for _, at_x, at_y in way)
+        self.shown, self.obeys = Hand(x, y, 0.0, 0.0), (obeys,)

@@ -25,14 +25,16 @@ from plant.backend import VirtualBody
 from tests.rover_drive import driven
 
 DURATION_S = 14.0
+LONG_S = 18.0
 DOWN_S = 5
 
 
-def killed(robot: int, what: str, at: float, more: str = "") -> Fleet:
-    """The bundled rovers; what is killed of one of them is there again `DOWN_S` later."""
-    rule = f'\n[[faults.rule]]\nrobot = {robot}\nkill = "{what}"\nat = {at}\nfor = {DOWN_S}\n'
+def killed(robot: int, what: str, at: float, more: str = "", *, for_good: bool = False) -> Fleet:
+    """The bundled rovers; what is killed of one of them is there again `DOWN_S` later, or never."""
+    lasts, duration_s = ("", LONG_S) if for_good else (f"for = {DOWN_S}\n", DURATION_S)
+    rule = f'\n[[faults.rule]]\nrobot = {robot}\nkill = "{what}"\nat = {at}\n{lasts}'
     text = (FLEETS / "rovers.toml").read_text(encoding="utf-8") + rule + more
-    return resolved(parse_fleet(text, source="here", overrides=[f"fleet.duration_s={DURATION_S}"]))
+    return resolved(parse_fleet(text, source="here", overrides=[f"fleet.duration_s={duration_s}"]))
 
 
 @pytest.mark.slow
@@ -59,6 +61,23 @@ def test_one_that_is_cut_off_gets_out_of_the_way_of_whom_it_knew_to_be_lost(
     """A stranger's find: robot 3 heard nobody, took all for lost alike, and found no way out between them."""
     cut = f'\n[[faults.rule]]\npartition = "alone 3"\nat = {cut_at}\nfor = 4\n'
     fleet = killed(2, what, at, cut)
+    assert driven(fleet).pairs.min() >= fleet.formation.safe_distance_m
+
+
+MISSES = {
+    "cut off": '[[faults.rule]]\npartition = "alone 3"\nat = 0.16\nfor = 4\n',
+    "starts again": '[[faults.rule]]\nrobot = 3\nkill = "agent"\nat = 3\nfor = 0.5\n',
+    "not there": '[[faults.rule]]\nrobot = 3\nkill = "agent"\nat = 0.5\nfor = 4\n',
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("misses", MISSES)
+@pytest.mark.parametrize("what", ["plant", "both"])
+def test_one_that_did_not_hear_it_move_goes_round_it_later(what: str, misses: str) -> None:
+    """A stranger's find: told by others of a way that was wide enough for all, it drove out of that, and
+    through the body: 0.05 m."""
+    fleet = killed(1, what, 1.1 if misses == "cut off" else 1.5, MISSES[misses], for_good=True)
     assert driven(fleet).pairs.min() >= fleet.formation.safe_distance_m
 
 

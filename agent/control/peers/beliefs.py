@@ -84,6 +84,7 @@ class Belief(NamedTuple):
         x, y, reach: a circle round all of them.
         way, doubt: points of the way that they cover, and how far off it the robot may be; the age of its
             last message adds to that.
+        own: those of the stretches on which it went by itself, not as a body that nothing commands.
     """
 
     stretches: tuple[Stretch, ...]
@@ -92,13 +93,15 @@ class Belief(NamedTuple):
     reach: float
     way: tuple[Vector, ...]
     doubt: float
+    own: tuple[Stretch, ...]
 
     def straight(self, x: float, y: float) -> tuple[float, float, float]:
-        """End of a straight way from (x, y), and how far to either side of it the stretches reach:
-        (to_x, to_y, radius)."""
-        to_x, to_y = self.stretches[-1].end
+        """End of a straight way from (x, y), and how far to either side of it its `own` stretches reach:
+        (to_x, to_y, radius). The way of a body that nothing commands is told by itself: a straight one that
+        has that beside it as well would be so wide that it says nothing."""
+        to_x, to_y = self.own[-1].end
         line = Stretch(x, y, to_x - x, to_y - y, 0.0, 0.0)
-        ends = ((end, each.radius) for each in self.stretches for end in ((each.x, each.y), each.end))
+        ends = ((end, each.radius) for each in self.own for end in ((each.x, each.y), each.end))
         return to_x, to_y, max(line.distance(*end) + radius for end, radius in ends)
 
 
@@ -167,7 +170,7 @@ def rolled_on(belief: Belief, way: Sequence[tuple[float, float, float]], off: fl
     itself: nothing commands it. It may be `off` so far beside that, m."""
     rolled = stood_on(way, belief.doubt + off)
     stretches = sorted((*belief.stretches, *rolled.stretches), key=lambda each: each.after)
-    return _belief(stretches, (*belief.way, *rolled.way[1:]), belief.doubt)
+    return _belief(stretches, (*belief.way, *rolled.way[1:]), belief.doubt)._replace(own=belief.own)
 
 
 def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -> Belief:
@@ -189,4 +192,4 @@ def _belief(stretches: list[Stretch], way: tuple[Vector, ...], doubt: float) -> 
     for each in stretches:
         away = max(hypot(each.x - x, each.y - y), hypot(each.x + each.dx - x, each.y + each.dy - y))
         reach = max(reach, away + each.radius + DOUBT_MAX)
-    return Belief(tuple(stretches), x, y, reach, way, doubt)
+    return Belief(tuple(stretches), x, y, reach, way, doubt, tuple(stretches))

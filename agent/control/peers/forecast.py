@@ -18,7 +18,7 @@ from agent.control.peers.beliefs import Belief, own_doubt, rolled_on, stood_on
 from agent.control.peers.lanes import Lane
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.prediction import Prediction, coasting, following, slowed, unforced
-from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc_of, moves, rolled
+from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc_of, is_somewhere_on, moves, rolled
 from agent.formation.reference import Reference
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -122,7 +122,13 @@ class Forecast:
         points = [(0.0, message.x, message.y)]
         onward = islice(self._onward(message, STEP_S, self._motion), ceil(until / STEP_S))
         points += [((k + 1) * STEP_S, x, y) for k, (x, y) in enumerate(onward)]
-        belief = stood_on(points, doubt)
+        return self.may_have_rolled(stood_on(points, doubt), message)
+
+    def may_have_rolled(self, belief: Belief, message: HandState) -> Belief:
+        """The belief by the last message of a robot, whose body may have gone on as nothing commands it."""
+        rolls = self._rolls_on.get(message.robot)
+        if rolls is not None and is_somewhere_on(message):
+            return stood_on(arc_of(message, rolls), ROLL_ERROR)
         if rolls is None or not moves(message.vx, message.vy):
             return belief
         return rolled_on(belief, arc_of(message, rolls), ROLL_ERROR)
@@ -131,7 +137,7 @@ class Forecast:
         """Where the hand of a robot is, so many seconds after its message, that nothing commands since then;
         None for one that stands by then, or brakes as others do."""
         rolls = self._rolls_on.get(message.robot)
-        if rolls is None or not message.obeys or age > rolls.for_s:
+        if rolls is None or not message.obeys or age > rolls.for_s or is_somewhere_on(message):
             return None
         return rolled(message.x, message.y, message.obeys[0], rolls.reach, age)
 

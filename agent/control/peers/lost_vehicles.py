@@ -10,6 +10,7 @@ from agent.control.hand import Hand
 from agent.control.peers.forecast import Forecast
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peer import Peer
+from agent.control.peers.rolling import is_somewhere_on
 
 _NEVER: Final = -1
 
@@ -60,7 +61,9 @@ class LostVehicles:
     def _is_lost(self, peer: Peer, now_ns: int, latest_ns: int) -> bool:
         """Whether it has said so, or was missed before `latest_ns`, when the last of all was heard."""
         message = peer.message
-        if message is None or peer.is_gone or peer.is_heard(now_ns) or self._rolled(peer, now_ns) is None:
+        if message is None or peer.is_gone or peer.is_heard(now_ns):
+            return False
+        if self._rolled(peer, now_ns) is None:
             return False
         missed_ns = peer.direct_ns - peer.clock.used_ns + peer.lateness.forgiven_ns + UNSURE_NS
-        return not message.obeys or missed_ns < latest_ns
+        return not message.obeys or is_somewhere_on(message) or missed_ns < latest_ns

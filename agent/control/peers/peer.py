@@ -9,6 +9,7 @@ from agent.common.time import NS_PER_S
 from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief, own_doubt
 from agent.control.peers.clock_offset import ClockOffset
 from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS, Lateness
+from agent.control.peers.rolling import is_somewhere_on
 from agent.messages.types import HandState
 
 NEVER: Final = -1
@@ -113,7 +114,7 @@ class Peer:
 
     def note_way(self, message: HandState) -> None:
         """Keeps how its body goes, for when only where it may be is told of it (`OwnHand.lost`)."""
-        if message.obeys:
+        if message.obeys and not is_somewhere_on(message):
             self.went = message
         elif message.following or message.doubt <= DOUBT_MAX:
             self.went = None

@@ -264,7 +264,8 @@ class Peers:
             age_ns = beacon.time_ns - said.time_ns
             lately = said.following and age_ns < self._horizon_s * NS_PER_S
             way = said.x, said.y, said.to_x, said.to_y, said.doubt
-            peer.belief = None if lately else stood_between(*way)
+            stood = None if lately else stood_between(*way)
+            peer.belief = stood and self.forecast.may_have_rolled(stood, peer.message)
             peer.time_ns = time_ns
 
     def silent(self, now_ns: int) -> tuple[Silent, ...]:

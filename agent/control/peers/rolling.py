@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import cos, hypot, sin, tau
 from typing import Final, NamedTuple
 
+from agent.common.quantities import Vector
 from agent.control.hand import Hand, Pose, hand
 from agent.fleet.sections import Robot
 from agent.messages.types import HandState, Setpoint
@@ -74,9 +75,26 @@ def arc(x: float, y: float, obeys: tuple[float, float, float], rolls: Rolls) -> 
     return [(t, *rolled(x, y, obeys, rolls.reach, t)[:2]) for t in times]
 
 
+def middle(way: Way) -> Vector:
+    """Of the box round a way: so a robot whose plant is lost says where it is (`OwnHand.lost`)."""
+    _, xs, ys = zip(*way, strict=True)
+    return 0.5 * (min(xs) + max(xs)), 0.5 * (min(ys) + max(ys))
+
+
+def is_somewhere_on(message: HandState) -> bool:
+    """Whether a message is of a body that went as it says when it was measured last, and is anywhere on that
+    way since; its place is the `middle` of that."""
+    if not message.obeys or message.following or message.doubt <= ROLL_ERROR:
+        return False
+    return not moves(message.vx, message.vy)
+
+
 def arc_of(message: HandState, rolls: Rolls) -> Way:
     """The same from a message. One that does not say what its body obeys rolls straight on."""
     x, y, vx, vy = message.place
+    if is_somewhere_on(message):
+        mid_x, mid_y = middle(arc(0.0, 0.0, message.obeys[0], rolls))
+        return [(0.0, *at) for _, *at in arc(x - mid_x, y - mid_y, message.obeys[0], rolls)]
     if message.obeys:
         return arc(x, y, message.obeys[0], rolls)
     times = (k / STEPS * rolls.for_s for k in range(STEPS + 1))

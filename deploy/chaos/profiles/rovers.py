@@ -40,6 +40,14 @@ CUT_OFF_OF: Final = 6
 """In a crowd: who hears nobody has to keep away from where each of them may be..."""
 CUT_OFF_S: Final = (1.0, 6.0)
 """...for so long: it knows that this one rolls, and not what the others do."""
+MISSED: Final = 0.5
+"""Of those, such where another one misses how it dies, as it is cut off or has ended..."""
+MISSED_BEFORE_S: Final = (0.1, 1.0)
+"""...from so long before..."""
+MISSED_S: Final = (2.0, 6.0)
+"""...for so long: it has it from others where that one may be..."""
+MISSED_QUIET_S: Final = 12.0
+"""...and comes past there later."""
 STOPPED: Final = 0.5
 ROLLED_S: Final = 4.5
 """Share of those in which an operator stops all before, so long at least after the last that happens: whom
@@ -67,7 +75,10 @@ def draw_rovers(seed: int) -> Tables:
     if dice.chance(SECOND) and len(ids) >= SECOND_OF:
         rules.append(_rule(dice, 2, second, round(rules[0]["at"] + dice.between(0.0, 3.0), 2)))
     hands = pieces.scattered(aimed, shape.offsets, SCATTER_M, APART_M) if cuts else {}
-    if met := encounters(hands, shape.offsets, speed):
+    missed = cuts and aimed.chance(MISSED)
+    if missed:
+        rules = _missed(aimed, *aimed.some(ids, 2))
+    elif met := encounters(hands, shape.offsets, speed):
         rules = _aimed(aimed, aimed.pick(met))
     last_s = max(rule["at"] + rule.get("for", 0.0) for rule in rules)
     orders: list[Tables] = []
@@ -89,7 +100,7 @@ def draw_rovers(seed: int) -> Tables:
     hands = hands or pieces.scattered(dice, shape.offsets, SCATTER_M, APART_M)
     body = {"mass_kg": 20.0, "inertia_kgm2": 1.2, "hand_offset_m": REACH_M}
     tables: Tables = {
-        "fleet": pieces.fleet(seed, RATE_HZ, last_s + QUIET_S),
+        "fleet": pieces.fleet(seed, RATE_HZ, last_s + (MISSED_QUIET_S if missed else QUIET_S)),
         "datum": dict(_DATUM),
         "formation": pieces.formation(shape, ids, SAFE_M, assign=False),
         "control": control,
@@ -123,6 +134,18 @@ def _aimed(dice: Dice, met: Encounter) -> list[Tables]:
     lasts = {"for": dice.between(*DOWN_S, 2)} if dice.chance(0.7) else {}
     cut = _cut_off("links of whom it meets", met.other, met.cut_s, dice.between(*CUT_OFF_S, 2))
     return [{"name": "rolls", **kill, **lasts}, cut]
+
+
+def _missed(dice: Dice, one: int, other: int) -> list[Tables]:
+    """One dies, and another hears that from others alone."""
+    rolls, misses = dice.pick(((one, other), (other, one)))
+    before_s = dice.between(*MISSED_BEFORE_S, 2)
+    at_s, for_s = round(before_s + dice.between(0.2, 2.0), 2), dice.between(*MISSED_S, 2)
+    kill = {"name": "rolls", "robot": rolls, "kill": dice.pick(("plant", "both")), "at": at_s}
+    begins_s = round(at_s - before_s, 2)
+    if dice.chance(0.7):
+        return [kill, _cut_off("links of who misses it", misses, begins_s, for_s)]
+    return [kill, {"name": "misses it", "robot": misses, "kill": "agent", "at": begins_s, "for": for_s}]
 
 
 def _cut_off(name: str, robot: int, at_s: float, for_s: float) -> Tables:

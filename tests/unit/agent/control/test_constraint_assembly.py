@@ -131,9 +131,8 @@ def test_from_one_that_is_known_to_be_lost_it_gets_away_as_from_what_is_known_an
     later = HandState.placed(2, 1, T0 + S, True, 1, (5.0, 5.0, 0.0, 0.0))
     assert robot.peers.accept(later, T0 + S + S // 10) is None
     planes = [each for each in robot.scene(T0 + round(1.3 * S)).planes if each.cause == "robot 3"]
-    pushes = {each.rank: each for each in planes if each.least > 0.0}
-    assert set(pushes) == {SEPARATION, UNSURE}
-    ahead, beside = pushes[SEPARATION], pushes[UNSURE]
+    ahead, beside = (each for each in planes if each.least > 0.0)
+    assert ahead.rank == beside.rank == SEPARATION
     assert ahead.nx < -0.8, "from where it is now"
     assert beside.ny < min(-0.7, ahead.ny - 0.2), "rather off its way"
 

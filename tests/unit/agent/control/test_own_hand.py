@@ -82,11 +82,12 @@ def test_of_a_body_that_rolls_on_all_of_its_way_is_told_at_once_for_as_long_as_i
         assert own.shown.x - own.doubt == pytest.approx(REACH - ROLL_ERROR)
         assert own.shown.x + own.doubt == pytest.approx(REACH + SPEED * ROLLS_S + ROLL_ERROR)
         assert (own.shown.vx, own.shown.vy) == (0.0, 0.0)
-        assert own.obeys == (), "what it tells has all of its way in it"
+        assert own.obeys == ((0.0, SPEED, 0.0),), "so others know which way it is that this circle is round"
         told.append((own.shown, own.doubt))
     assert told == told[:1] * 4
     own.lost(START + rolls_ns + LAST_PLACE_NS + 1)
     assert own.shown is None
+    assert own.obeys == ()
 
 
 def test_a_body_that_stands_does_not_roll():

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from math import pi, tau
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.control.hand import Pose, advance, hand
-from agent.control.peers.rolling import LEADS_S, Rolls, arc, arc_of, moves, rolled, rolls_of, setpoint
+from agent.control.peers.rolling import (
+    LEADS_S,
+    Rolls,
+    arc,
+    arc_of,
+    is_somewhere_on,
+    middle,
+    moves,
+    rolled,
+    rolls_of,
+    setpoint,
+)
 from agent.fleet.loading import parse_fleet
 from agent.messages.types import HandState
 
@@ -62,6 +74,36 @@ def test_one_that_says_what_it_obeys_turns_and_any_other_goes_straight_on():
     _, x, y = arc_of(message._replace(obeys=((0.0, 0.5, pi / ROLLS.for_s),)), ROLLS)[-1]
     assert x == pytest.approx(-2.0 * REACH)  # it has turned about
     assert y == pytest.approx(2.0 * 0.5 * ROLLS.for_s / pi)
+
+
+@given(
+    heading=st.floats(0.0, 6.28),
+    speed=st.floats(0.1, 1.0),
+    yaw_rate=st.floats(-1.5, 1.5),
+    x=st.floats(-9.0, 9.0),
+)
+def test_from_the_middle_of_its_way_that_is_found_again(
+    heading: float, speed: float, yaw_rate: float, x: float
+) -> None:
+    """One whose plant is lost tells a circle, and what its body went on by."""
+    obeys = heading, speed, yaw_rate
+    way = arc(x, 2.0, obeys, ROLLS)
+    message = HandState.placed(2, 0, 0, False, 1, (*middle(way), 0.0, 0.0), 1.9, (obeys,))
+    assert is_somewhere_on(message)
+    for (after, *at), (_, *there) in zip(arc_of(message, ROLLS), way, strict=True):
+        assert after == 0.0, "nobody knows for how long it has gone on"
+        assert at == pytest.approx(there, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"following": True}, {"doubt": 0.2}, {"vx": 0.5}, {"obeys": ()}],
+    ids=lambda each: next(iter(each)),
+)
+def test_others_say_where_they_are(other: dict[str, Any]) -> None:
+    lost = HandState.placed(2, 0, 0, False, 1, (1.0, 2.0, 0.0, 0.0), 1.9, ((0.0, 0.5, 0.0),))
+    assert is_somewhere_on(lost)
+    assert not is_somewhere_on(lost._replace(**other))
 
 
 def test_only_vehicles_roll_on():

@@ -8,9 +8,9 @@ import pytest
 
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peers
-from agent.control.peers.rolling import Rolls, arc_of
+from agent.control.peers.rolling import Rolls, arc, arc_of, middle
 from agent.control.peers.silent_rows import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
-from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
+from agent.messages.types import SILENT_MAX, Beacon, HandState, Removed, Silent
 from tests.unit.agent.control.peers.neighbours import (
     PERIOD,
     T0,
@@ -64,6 +64,28 @@ def test_where_the_body_of_a_silent_one_rolls_to_is_passed_on(wait: int) -> None
         assert any(
             each.after <= age + 1e-9 and each.distance(x, y) <= each.radius for each in belief.stretches
         )
+    if wait > S:  # the straight way that is told does not have the arc in it as well: it would say nothing
+        assert max(each.radius for each in belief.stretches) < 0.9
+    assert rows(new, T0 + wait + S)[0][:7] == silent[0][:7], "and told on"
+    assert tuple(new.rolling(rows(new, T0 + wait + S))) == rolling
+
+
+def test_of_one_that_has_said_that_it_is_somewhere_on_its_way_others_know_that_way() -> None:
+    """Its bridge died, and then its agent fell silent: whoever had no word from it hears that from others."""
+    rolls = {"rolls_on": {2: Rolls(3.5, 0.4)}, "horizon_s": 1.0}
+    obeys = (0.5, 1.0, 0.9)
+    way = arc(1.0, 2.0, obeys, Rolls(3.5, 0.4))
+    circle = HandState.placed(2, 5, T0, False, 1, (*middle(way), 0.0, 0.0), 1.8, (obeys,))
+    knows, new = heard(peers(**rolls), circle), peers(starts={2: (0.0, 0.0)}, **rolls)
+    silent = rows(knows, T0 + 5 * S)
+    beacon_of_3 = told(knows, T0 + 5 * S)._replace(rolling=tuple(knows.rolling(silent)))
+    assert new.accept_beacon(beacon_of_3, T0 + 5 * S + PERIOD) is None
+    for each in (knows, new):
+        belief = each.whereabouts.belief(each.get(2))
+        assert belief is not None
+        assert max(stretch.radius for stretch in belief.stretches) < 0.4
+        for _, x, y in way:
+            assert any(stretch.distance(x, y) <= stretch.radius for stretch in belief.stretches)
 
 
 def test_one_deaf_to_a_robot_is_told_of_it_by_those_who_hear_it():
