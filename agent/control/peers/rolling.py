@@ -94,7 +94,7 @@ def arc_of(message: HandState, rolls: Rolls) -> Way:
     x, y, vx, vy = message.place
     if is_somewhere_on(message):
         mid_x, mid_y = middle(arc(0.0, 0.0, message.obeys[0], rolls))
-        return [(0.0, *at) for _, *at in arc(x - mid_x, y - mid_y, message.obeys[0], rolls)]
+        return [(0.0, at_x, at_y) for _, at_x, at_y in arc(x - mid_x, y - mid_y, message.obeys[0], rolls)]
     if message.obeys:
         return arc(x, y, message.obeys[0], rolls)
     times = (k / STEPS * rolls.for_s for k in range(STEPS + 1))
