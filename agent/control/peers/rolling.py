@@ -18,7 +18,8 @@ ROLLS: Final = 0.06
 """m/s: a body that is slower is at rest, as far as its estimate tells."""
 STOPS_S: Final = 0.5
 """A body that stops by itself goes as far as at its speed in so long, s."""
-LEADS_S: Final = 0.2, 0.05
+SPEED_LEADS_S: Final = 0.2
+TURN_LEADS_S: Final = 0.05
 """The setpoint that it obeys last is the speed, and the yaw rate, that what acted on it gives it in so long,
 s. With these 54 simulated rovers whose bridges were killed in mid-drive came to rest 8 cm from where they
 were to, and 18 cm at most."""
@@ -56,7 +57,7 @@ def setpoint(heading: float, speed: float, yaw_rate: float, along: float, spin: 
     Args:
         along, spin: what acts on it, m/s^2 along its heading and rad/s^2.
     """
-    return Setpoint(heading % tau, speed + LEADS_S[0] * along, yaw_rate + LEADS_S[1] * spin)
+    return Setpoint(heading % tau, speed + SPEED_LEADS_S * along, yaw_rate + TURN_LEADS_S * spin)
 
 
 def rolled(x: float, y: float, obeys: tuple[float, float, float], reach: float, t: float) -> Hand:

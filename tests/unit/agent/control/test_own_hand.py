@@ -10,7 +10,7 @@ from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.own_hand import LAST_PLACE_NS, OwnHand
 from agent.control.peers.prediction import BRAKING_TIME_S
-from agent.control.peers.rolling import LEADS_S, ROLL_ERROR, Rolls
+from agent.control.peers.rolling import ROLL_ERROR, SPEED_LEADS_S, TURN_LEADS_S, Rolls
 from agent.formation.geometry import resolve
 from agent.messages.types import PlantState
 from tests.unit.agent.agent_bench import START, fleet
@@ -109,7 +109,7 @@ def test_it_rolls_on_the_arc_that_its_last_setpoint_leads_to(yaw_rate: float) ->
     own.measured(START, plant()._replace(yaw_rate=yaw_rate, force=force, torque=torque))
     own.lost(START + NS_PER_S // 5)
     assert own.shown is not None
-    speed, turning = SPEED + LEADS_S[0] * 0.8, yaw_rate + LEADS_S[1] * 1.0
+    speed, turning = SPEED + SPEED_LEADS_S * 0.8, yaw_rate + TURN_LEADS_S * 1.0
     radius, turned = speed / turning, turning * ROLLS_S
     x = radius * sin(turned) + REACH * cos(turned)
     y = radius * (1.0 - cos(turned)) + REACH * sin(turned)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from agent.control.hand import Pose, advance, hand
 from agent.control.peers.rolling import (
-    LEADS_S,
+    SPEED_LEADS_S,
+    TURN_LEADS_S,
     Rolls,
     arc,
     arc_of,
@@ -63,7 +64,7 @@ def test_its_way_leads_from_where_it_was_heard_to_where_it_rests():
 def test_what_it_obeys_is_what_it_had_begun_to_do():
     heading, speed, yaw_rate = setpoint(-0.5, 0.4, 0.1, along=0.5, spin=-2.0)
     assert (heading, speed, yaw_rate) == pytest.approx(
-        (tau - 0.5, 0.4 + 0.5 * LEADS_S[0], 0.1 - 2.0 * LEADS_S[1])
+        (tau - 0.5, 0.4 + 0.5 * SPEED_LEADS_S, 0.1 - 2.0 * TURN_LEADS_S)
     )
 
 
