@@ -198,7 +198,8 @@ class ConstraintAssembly:
         """The half planes against wherever a robot may be that is not heard.
 
         Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops it, as
-        hard as need be, but must not push it off.
+        hard as need be, but must not push it off. A vehicle that is known to be lost looks for nobody: it is
+        got out of the way of, as of what is known.
         """
         belief = self._peers.whereabouts.belief(peer)
         if belief is None:

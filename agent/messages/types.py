@@ -158,7 +158,8 @@ class Echo(NamedTuple):
 
 
 class Setpoint(NamedTuple):
-    """What a body obeys, from the stamp of the message on."""
+    """What a body obeys, from the stamp of the message on; of one whose plant is lost, which tells a circle
+    round its way, since it was measured last."""
 
     heading: Annotated[float, _HEADING]
     speed: Annotated[float, _SPEED]

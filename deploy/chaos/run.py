@@ -89,7 +89,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     fleet = resolved(parse_fleet(text, source=source))
     try:
         unseen = UnseenApproaches(fleet)
-        outcome = judged(RunResult(simulate(fleet, go_on, unseen.look)))
+        outcome = judged(RunResult(simulate(fleet, go_on, unseen.look if unseen.are_possible else None)))
         outcome = replace(outcome, violations=(*outcome.violations, *unseen.violations()))
     except Abandoned:
         raise

@@ -32,6 +32,8 @@ class UnseenApproaches:
     """
 
     def __init__(self, fleet: Fleet) -> None:
+        self.are_possible = any(robot.kind.rolls_on_s for robot in fleet.robots)
+        """A body that stands while its plant is dead is where the recording has it last."""
         self._safe_m = fleet.formation.safe_distance_m
         self._ids = fleet.ids
         self._reach = [robot.hand_offset_m for robot in fleet.robots]

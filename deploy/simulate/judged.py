@@ -16,6 +16,7 @@ from deploy.simulate.simulation import Simulation
 from deploy.simulate.worker_pool import Abandoned, GoOn
 
 WATCH_NS: Final = NS_PER_S // 20
+"""Of fleet time: so often whoever watches a simulation is shown it."""
 
 
 def drive(

@@ -125,7 +125,8 @@ class Forecast:
         return self.may_have_rolled(stood_on(points, doubt), message)
 
     def may_have_rolled(self, belief: Belief, message: HandState) -> Belief:
-        """The belief by the last message of a robot, whose body may have gone on as nothing commands it."""
+        """The belief (m, W) by the last message of a robot, whose body may have gone on as nothing commands
+        it: on its arc as well, or on that alone if it says so (`rolling.is_somewhere_on`)."""
         rolls = self._rolls_on.get(message.robot)
         if rolls is not None and is_somewhere_on(message):
             return stood_on(arc_of(message, rolls), ROLL_ERROR)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
 
 from agent.common.time import NS_PER_S
 from agent.control.hand import Hand
 from agent.control.peers.forecast import Forecast
 from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import Peer
+from agent.control.peers.peer import NEVER, Peer
 from agent.control.peers.rolling import is_somewhere_on
-
-_NEVER: Final = -1
 
 
 class LostVehicles:
@@ -28,7 +25,7 @@ class LostVehicles:
     def __init__(self, known: Mapping[int, Peer], forecast: Forecast) -> None:
         self._known, self._forecast = known, forecast
         self._sure: frozenset[int] = frozenset()
-        self._looked_ns = _NEVER
+        self._looked_ns = NEVER
 
     def may_roll(self, peer: Peer, now_ns: int) -> bool:
         """Whether the body of a robot that is not heard may go on now, as nothing commands it."""
@@ -46,8 +43,8 @@ class LostVehicles:
         return peer.robot in self._sure
 
     def hand(self, peer: Peer, now_ns: int) -> Hand | None:
-        """Where the hand of a robot that is not heard is if nothing commands its body; None where it stands
-        by then, or others are the lost ones."""
+        """Where the hand of a robot that is not heard is (m, m/s, W) if nothing commands its body; None where
+        it stands by then, or others are the lost ones."""
         if not self.is_sure(peer, now_ns) and self._sure:
             return None
         return self._rolled(peer, now_ns)

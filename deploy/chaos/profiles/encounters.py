@@ -16,11 +16,11 @@ from typing import Final, NamedTuple
 from agent.common.quantities import Vector
 
 STEP_S: Final = 0.1
-DIES_S: Final = tuple(range(5, 71, 3))
+DIES: Final = tuple(range(5, 71, 3))
 """In steps: when it dies..."""
-CUT_LATER_S: Final = (2, 5, 8, 11)
+CUT_LATER: Final = (2, 5, 8, 11)
 """...and how much later the other one is cut off."""
-ROLLS_S: Final = tuple(range(10, 36))
+ROLLS: Final = tuple(range(10, 36))
 """It rolls so long, and is met after a second at least: those that are met before could not have made way."""
 MEETS_M: Final = 1.0
 GAIN: Final = 0.6
@@ -38,15 +38,15 @@ class Encounter(NamedTuple):
 
 def encounters(starts: Mapping[int, Vector], places: Mapping[int, Vector], speed: float) -> list[Encounter]:
     """All such, of robots that make from `starts` for `places`, m, at `speed` (m/s) at most."""
-    steps = max(DIES_S) + max(CUT_LATER_S) + 1
+    steps = max(DIES) + max(CUT_LATER) + 1
     ways = {robot: list(_way(starts[robot], places[robot], speed, steps)) for robot in starts}
     found = []
     for rolls, other in permutations(ways, 2):
-        for at in DIES_S:
+        for at in DIES:
             (x, y), (x1, y1) = ways[rolls][at : at + 2]
-            for later in CUT_LATER_S:
+            for later in CUT_LATER:
                 stands = ways[other][at + later]
-                rolled = ((x + k * (x1 - x), y + k * (y1 - y)) for k in ROLLS_S)
+                rolled = ((x + k * (x1 - x), y + k * (y1 - y)) for k in ROLLS)
                 if dist((x, y), stands) > MEETS_M and any(dist(each, stands) < MEETS_M for each in rolled):
                     times = round(at * STEP_S, 1), round((at + later) * STEP_S, 1)
                     found.append(Encounter(rolls, other, *times))

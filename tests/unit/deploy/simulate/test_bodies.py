@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+from math import hypot
 from pathlib import Path
 
 import pytest
@@ -88,3 +91,25 @@ def test_unicycle_and_rover_drive_together_until_a_restart_of_the_bridge(mixed: 
     assert not any(message.driving for message in since), "its operator may have had it"
     told = [message for message in heard if type(message) is Status and message.robot == 2]
     assert any(message.reason == BEGUN_LATE for message in told)
+
+
+def test_where_a_vehicle_truly_is_is_known_though_no_bridge_steps_it(mixed: Fleet) -> None:
+    """It rolls on; a simulated body whose plant is dead stands."""
+    rules = tuple(
+        replace(rule, restart=None, kill="plant", robot=robot)
+        for rule in mixed.faults.rules
+        for robot in (1, 2)
+    )
+    simulation = Simulation(replace(mixed, faults=replace(mixed.faults, rules=rules)))
+    seen: list[int] = []
+    simulation.every(NS_PER_S // 2, lambda: seen.append(simulation.now_ns))
+    assert simulation.start(5 * NS_PER_S), simulation.reasons
+    simulation.run_until(simulation.epoch_ns + round(2.1 * NS_PER_S))
+    assert [simulation.runs(robot, "plant") for robot in (1, 2)] == [False, False]
+    assert simulation.runs(2, "agent")
+    before = simulation.poses()
+    simulation.run_until(simulation.epoch_ns + 3 * NS_PER_S)
+    after = simulation.poses()
+    assert after[0] == before[0]
+    assert hypot(after[1].x - before[1].x, after[1].y - before[1].y) > 0.1
+    assert {b - a for a, b in pairwise(seen)} == {NS_PER_S // 2}
