@@ -111,5 +111,7 @@ def test_where_a_vehicle_truly_is_is_known_though_no_bridge_steps_it(mixed: Flee
     simulation.run_until(simulation.epoch_ns + 3 * NS_PER_S)
     after = simulation.poses()
     assert after[0] == before[0]
-    assert hypot(after[1].x - before[1].x, after[1].y - before[1].y) > 0.1
+    went = hypot(after[1].x - before[1].x, after[1].y - before[1].y)
+    assert went == pytest.approx(0.9 * abs(before[1].speed), rel=0.2)
+    assert went > 0.01
     assert {b - a for a, b in pairwise(seen)} == {NS_PER_S // 2}
