@@ -43,7 +43,6 @@ _PARSERS: Final[Mapping[int, Any]] = {
     Opcode.METADATA: Metadata,
 }
 _WITHOUT_MESSAGES: Final = (*_PARSERS, Opcode.ATTACHMENT, Opcode.MESSAGE_INDEX, Opcode.DATA_END)
-_OPCODES: Final = frozenset(map(int, Opcode))
 _PRIVATE: Final = 0x80
 """From here on opcodes are anybody's."""
 
@@ -206,6 +205,16 @@ class Records:
 
     def _record(self, at: int) -> tuple[int, bytes]:
         """The opcode and content of the record that begins there; raises `Damaged`."""
+        opcode, content = self._alone(at)
+        after = at + PREFIX.size + len(content)
+        if opcode in (Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT) and not self._may_begin(after):
+            raise Damaged  # some of it is missing
+        if opcode >= _PRIVATE and not self._is_record(after):
+            raise Damaged  # anything may look like one
+        return opcode, content
+
+    def _alone(self, at: int) -> tuple[int, bytes]:
+        """The same, whatever follows it."""
         prefix = self._read(at, PREFIX.size)
         if len(prefix) < PREFIX.size:
             raise Damaged
@@ -217,16 +226,16 @@ class Records:
             return Opcode.CHUNK, content  # nothing but its opcode is damaged
         if not _is_sound(opcode, content) or (opcode == Opcode.MESSAGE and self._last_ns is not None):
             raise Damaged  # nobody writes messages between chunks
-        if opcode in (Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT) and not self._may_begin(at, length):
-            raise Damaged  # some of it is missing
-        if opcode >= _PRIVATE and not self._is_record(at + PREFIX.size + length):
-            raise Damaged  # anything may look like one
         return opcode, content
 
-    def _may_begin(self, at: int, length: int) -> bool:
-        """Whether after a record something follows that looks like one, or nothing."""
-        following = self._read(at + PREFIX.size + length, 1)
-        return not following or following[0] >= _PRIVATE or following[0] in _OPCODES
+    def _may_begin(self, at: int) -> bool:
+        """Whether something begins there that looks like a record, or the file ends."""
+        if at >= self._size:
+            return True
+        try:
+            return self._alone(at)[0] < _PRIVATE or self._is_record(at)
+        except Damaged:
+            return False
 
     def _next(self, at: int) -> int | None:
         """Where the next chunk, metadata or the end of the data begins, from there on."""

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Footer, Message
+from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType
 
@@ -87,7 +87,7 @@ def run_of(data: bytes) -> Run:
         since_s, until_s = (
             (each - EPOCH_NS) / 1e9 for each in (chunk.message_start_time, chunk.message_end_time)
         )
-        introduces = any(isinstance(record, Channel) for record in records)
+        introduces = any(isinstance(record, Channel | Schema) for record in records)
         places.append(Place(begin, begin + index.chunk_length, since_s, until_s, stamps, introduces))
     (footer,) = (each for each in StreamReader(BytesIO(data)).records if isinstance(each, Footer))
     return Run(data, places, footer.summary_start)
@@ -157,6 +157,7 @@ SETTINGS = settings(
 @example(where=0.0625, length=1, how="zero", killed=False)  # a schema of what later chunks introduce
 @example(where=0.0, length=4096, how="zero", killed=False)
 @example(where=0.0, length=4096, how="zero", killed=True)
+@example(where=0.06675, length=1, how="missing", killed=True)  # of an index before a chunk
 def test_all_is_read_but_the_chunks_that_are_damaged(
     run: Run, tmp_path: Path, where: float, length: int, how: str, killed: bool
 ) -> None:
