@@ -123,9 +123,12 @@ class VirtualBody(PlantBackend, Protocol):
         """Where it was (W) at the last step."""
         ...
 
-    def alone(self, now_ns: int) -> None:
-        """Lets time pass, until `now_ns`, in which no process steps it: a vehicle goes on by itself."""
-        return None
+    def alone(self, now_ns: int) -> bool:
+        """Lets time pass, until `now_ns`, in which no process steps it, if it is one that goes on by itself.
+
+        Returns whether `pose` is where it is by now.
+        """
+        return False
 
 
 class Begin(NamedTuple):

@@ -127,6 +127,7 @@ class PlantNode:
         """By whose clock it goes, as the last wrench told."""
         self._ending = False
         self._at_rest = self._obeying = True
+        self.healthy = False
         self._numbers = SequenceNumbers(self.period_ns)
         self.condition = ("braking", "no wrench yet")
 
@@ -298,7 +299,7 @@ class PlantNode:
         reading = self._backend.step(now_ns, command)
         if self._ahead_ns:
             reading = reading._replace(time_ns=reading.time_ns - self._ahead_ns)
-        pose, self._obeying = reading.pose, reading.obeying
+        pose, self._obeying, self.healthy = reading.pose, reading.obeying, reading.healthy
         if reading.healthy and not (reading.obeying or self._ending or self._latch.stopped):
             self.condition = "released", reading.note  # whatever its agent says
         self._at_rest = at_rest(pose.speed, pose.yaw_rate)

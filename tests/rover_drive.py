@@ -15,7 +15,6 @@ from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.formation.points import Floats
-from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from deploy.simulate.simulation import Simulation
 from plant.backend import VirtualBody
 
@@ -50,8 +49,7 @@ class Driven(NamedTuple):
 
 def true_pose(body: VirtualBody, now_ns: int) -> Pose:
     """Where a body is by now. A vehicle whose bridge is dead or stands goes on: nobody steps it."""
-    if isinstance(body, SimulatedRoverPlant):
-        body.transport.advance(now_ns)
+    body.alone(now_ns)
     return body.pose
 
 

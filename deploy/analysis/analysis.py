@@ -15,7 +15,7 @@ from agent.formation.geometry import Geometry
 from agent.formation.points import Floats
 from deploy.analysis.desired import MissionChange, desired
 from deploy.analysis.gaps import PoseGap, kept_through, pose_gaps, unknown
-from deploy.analysis.presence import Flags, away, downs
+from deploy.analysis.presence import Flags, Uncommanded, away, downs, uncommanded
 from deploy.analysis.removals import carried_off
 from deploy.analysis.stability import SETTLED
 from deploy.recording.recording import Recording
@@ -37,11 +37,17 @@ class Approach(NamedTuple):
 class Approaches(NamedTuple):
     """Of all pairs of one kind: the closest, and of each pair that came below the safe distance the closest.
 
-    Pairs that begin below it and come apart later are left out of `unsafe` until then.
+    Pairs that begin below it and come apart later are left out of both until then.
+
+    Attributes:
+        unavoidable: those that came below it while one of them went on by itself, and nobody steered the
+            other one.
+        unsafe: all others that did.
     """
 
     closest: Approach | None
     unsafe: tuple[Approach, ...]
+    unavoidable: tuple[Approach, ...] = ()
 
 
 class Settled(NamedTuple):
@@ -82,8 +88,9 @@ class Analysis:
     changes: tuple[Settled, ...]
     """Of mission, within the drive."""
     mission_version: int
-    gaps: tuple[PoseGap, ...] = ()
+    gaps: tuple[PoseGap, ...]
     """Those that hide where a robot was."""
+    uncommanded: Uncommanded
 
     @cached_property
     def unknown(self) -> Flags:
@@ -115,6 +122,7 @@ class Analysis:
         in_force = np.isfinite(self.wanted)
         closest: Approach | None = None
         unsafe: list[Approach] = []
+        unavoidable: list[Approach] = []
         for i in range(n - 1):  # a robot at a time: all pairs of a large fleet at once would not fit
             between = self._nearest(self.hands[:, i + 1 :] - self.hands[:, i : i + 1])
             shared = np.zeros(between.shape, dtype=np.bool_)
@@ -130,11 +138,20 @@ class Analysis:
                 apart = np.flatnonzero(~below[:, at])
                 if len(apart):
                     between[: apart[0], at] = np.inf
-                k = int(between[:, at].argmin())
-                if between[k, at] < self.safe_m:
-                    pair = self.ids[i], self.ids[i + 1 + at]
-                    unsafe.append(Approach(float(between[k, at]), float(self.grid[k]), pair))
-        return Approaches(closest, tuple(sorted(unsafe)))
+                left = self._left_alone(i, i + 1 + at)
+                for found, rows in ((unsafe, ~left), (unavoidable, left)):
+                    apart_m = np.where(rows, between[:, at], np.inf)
+                    k = int(apart_m.argmin())
+                    if apart_m[k] < self.safe_m:
+                        pair = self.ids[i], self.ids[i + 1 + at]
+                        found.append(Approach(float(apart_m[k]), float(self.grid[k]), pair))
+        return Approaches(closest, tuple(sorted(unsafe)), tuple(sorted(unavoidable)))
+
+    def _left_alone(self, i: int, j: int) -> Flags:
+        """(k,): where neither of two could do anything for their distance, and one rolled."""
+        rolling, helpless = self.uncommanded
+        both: Flags = (rolling[:, i] | rolling[:, j]) & helpless[:, i] & helpless[:, j]
+        return both
 
     def _nearest(self, apart: Floats) -> Floats:
         """How near two robots come from each time of the grid until the next, (k, m), from the vectors
@@ -178,7 +195,7 @@ def analyse(recording: Recording, geometry: Geometry) -> Analysis:
     return Analysis(
         recording.ids, recording.fleet.formation.safe_distance_m, grid, hands, wish.places, edges, wanted,
         distances, counts, off, gone, settling_s,
-        settled, wish.mission_version, gaps,
+        settled, wish.mission_version, gaps, uncommanded(recording, grid),
     )  # fmt: skip
 
 

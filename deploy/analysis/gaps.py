@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.formation.points import Floats
-from deploy.analysis.presence import Flags, downs
+from deploy.analysis.presence import Flags, downs, untold
 from deploy.recording.recording import Recording, once
 
 GAP_S: Final = 0.5
@@ -30,8 +30,9 @@ class PoseGap(NamedTuple):
         lasts: it goes on to the end of the drive.
         rule: names the rule that stopped the robot's plant, if one did.
         is_lost: it comes of a damaged file.
-        is_hidden: where the robot was meanwhile is not known. It is of a simulated body that a rule stopped,
-            for a time that is known: that one brakes and stands.
+        is_hidden: where the robot was meanwhile is not known. It is where virtual time was recorded, which
+            has all bodies, and of a simulated body that a rule stopped, for a time that is known: that one
+            brakes and stands.
     """
 
     robot: int
@@ -63,9 +64,10 @@ def pose_gaps(recording: Recording) -> Sequence[PoseGap]:
     out = []
     end_s = recording.end_s
     for robot, data in recording.robots.items():
-        t = data.body.t
-        if not len(t):
+        body_s = data.body.t
+        if not len(body_s):
             continue
+        t = body_s[~_unseen(recording, robot, body_s)]
         # A simulated vehicle is a vehicle: it rolls on.
         is_simulated = not recording.fleet.robot(robot).kind.vehicle
         times = np.concatenate([[0.0], np.clip(t, 0.0, end_s), [end_s]])
@@ -74,14 +76,26 @@ def pose_gaps(recording: Recording) -> Sequence[PoseGap]:
             since_s = float(t[row - 1]) if row else -inf
             until_s = float(t[row]) if row < len(t) else inf
             rule = _stopped_by(recording, robot, start_s, stop_s)
-            poses, lasts = (row - 1, row, since_s, until_s), stop_s >= end_s
+            before, after = (int(each) for each in np.searchsorted(body_s, (since_s, until_s)))
+            poses, lasts = (before if row else -1, after, since_s, until_s), stop_s >= end_s
+            meanwhile_s = np.clip(body_s[before : after + 1], start_s, stop_s)
+            is_seen = np.diff(meanwhile_s, prepend=start_s, append=stop_s).max() <= gap_s(recording)
             stands = lasts or any(
                 since_s < down.end_s < inf and down.start_s < until_s
                 for down in downs(recording, robot, "plant")
             )
-            is_hidden = not (rule and is_simulated and stands)
+            is_hidden = not is_seen and not (rule and is_simulated and stands)
             damaged = is_lost(recording, start_s, stop_s)
             out.append(PoseGap(robot, start_s, stop_s, *poses, lasts, rule, damaged, is_hidden))
+    return out
+
+
+def _unseen(recording: Recording, robot: int, times: Floats) -> Flags:
+    """(k,): whether a pose of a vehicle came of no plant, but of virtual time itself."""
+    out = np.zeros(len(times), dtype=np.bool_)
+    if recording.mode == "simulate" and recording.fleet.robot(robot).kind.rolls_on_s:
+        for start_s, end_s in untold(recording, robot):
+            out |= (times >= start_s) & (times < end_s)
     return out
 
 

@@ -49,6 +49,40 @@ def downs(recording: Recording, robot: int, role: str) -> list[Down]:
     return found
 
 
+class Uncommanded(NamedTuple):
+    """(k, n) each: where a vehicle went on by itself, as nothing commanded it; and where nobody steered a
+    robot at all: that, or its agent was dead, so that it could do nothing for its distances."""
+
+    rolling: Flags
+    helpless: Flags
+
+
+def uncommanded(recording: Recording, grid: Floats) -> Uncommanded:
+    """Of whom nobody can say that they should have kept away, by what was done to them on purpose."""
+    rolling = np.zeros((len(grid), len(recording.ids)), dtype=np.bool_)
+    helpless = rolling.copy()
+    for index, robot in enumerate(recording.ids):
+        if recording.fleet.robot(robot).kind.rolls_on_s:
+            for start_s, end_s in untold(recording, robot):
+                rolling[:, index] |= (grid > start_s) & (grid < end_s)
+        for down in downs(recording, robot, "agent"):
+            helpless[:, index] |= (grid > down.start_s) & (grid <= down.end_s)
+    return Uncommanded(rolling, helpless | rolling)
+
+
+def untold(recording: Recording, robot: int) -> list[tuple[float, float]]:
+    """The times (start s, end s) in which a robot's plant, killed or paused on purpose, told of no pose.
+
+    A new one needs a while until it knows one.
+    """
+    plant = recording.robots[robot].plant
+    told_s = plant.t[plant["healthy"] > 0.0]
+    lost = downs(recording, robot, "plant")
+    after = np.searchsorted(told_s, [down.end_s for down in lost])
+    ends = np.append(told_s, inf)[after]
+    return [(down.start_s, float(end_s)) for down, end_s in zip(lost, ends, strict=True)]
+
+
 def said(status: StatusTable, grid: Floats, states: Collection[str]) -> Flags:
     """(k,): where the last status until then tells of one of `states`; False before the first."""
     if not len(status):

@@ -18,7 +18,6 @@ import tomli_w
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
 from deploy.analysis.balance import caught
-from deploy.chaos.unseen_approaches import UnseenApproaches
 from deploy.console.wording import error_text
 from deploy.recording.recording import Recording
 from deploy.simulate.judged import drive as simulate
@@ -88,9 +87,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     begun_s = time.perf_counter()
     fleet = resolved(parse_fleet(text, source=source))
     try:
-        unseen = UnseenApproaches(fleet)
-        outcome = judged(RunResult(simulate(fleet, go_on, unseen.look if unseen.are_possible else None)))
-        outcome = replace(outcome, violations=(*outcome.violations, *unseen.violations()))
+        outcome = judged(RunResult(simulate(fleet, go_on)))
     except Abandoned:
         raise
     except Exception as error:
@@ -99,13 +96,14 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
 
 
 def judged(result: RunResult) -> Outcome:
-    """What a drive came to, whether of real processes or in virtual time."""
+    """What a drive came to, whether of real processes or in virtual time: what nobody could have avoided is
+    no fault of the system's."""
     recording, found = result.recording, result.violations
     beside = READY if recording.epoch_ns is None else ORDERS
     wrong = [Violation(beside, 0.0, reason) for reason in recording.reasons]
     states, transitions, limits = _exercised(recording)
     return Outcome(
-        (*wrong, *(violation for each in found.values() for violation in each or ())),
+        (*wrong, *(broken for each in found.values() for broken in each or () if broken.avoidable)),
         frozenset(name for name, each in found.items() if each is not None),
         states,
         transitions,

@@ -135,7 +135,8 @@ def _violations(result: RunResult) -> list[Mark]:
             f"distance of {analysis.safe_m:.3f} m",
             near.pair,
         )
-        for near in (*analysis.with_edge.unsafe, *analysis.without_edge.unsafe)
+        for approaches in (analysis.with_edge, analysis.without_edge)
+        for near in (*approaches.unsafe, *approaches.unavoidable)
     ]
     for name, broken in result.violations.items():
         if name != SEPARATION:  # above it is pair by pair

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from math import inf
-from typing import NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -34,10 +34,14 @@ from deploy.recording.tables import (
 
 T = TypeVar("T")
 
+TRUTH_S: Final = 0.5
+"""Where no truth was recorded for longer than this, what was measured stands for it."""
+
 
 @dataclass(frozen=True)
 class RobotData:
-    """All that one robot sent, over time. `truth` is empty unless its plant's measurements are noisy."""
+    """All that one robot sent, over time. `truth` is empty unless its plant's measurements are noisy; in
+    virtual time it tells of a vehicle, too, while no bridge does."""
 
     id: int
     plant: Table
@@ -49,10 +53,10 @@ class RobotData:
 
     @cached_property
     def body(self) -> Table:
-        """Where the body was, as well as that is known: the truth when recorded, else the measurement.
-        Without what its plant itself said is not to be used."""
-        table = self.truth if len(self.truth) else self.plant
-        return table.only(table["healthy"] > 0.0)
+        """Where the body was, as well as that is known: the truth where it was recorded, else the
+        measurement. Without what its plant itself said is not to be used."""
+        told, true = (each.only(each["healthy"] > 0.0) for each in (self.plant, self.truth))
+        return true.filled(told, TRUTH_S) if len(true) else told
 
     @cached_property
     def _turned(self) -> Floats:

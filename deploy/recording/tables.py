@@ -64,6 +64,18 @@ class Table:
         stamps, sequences = (each[wanted] if len(each) else each for each in (self.stamps_ns, self.sequences))
         return Table(self.names, self.t[wanted], self.values[wanted], stamps, sequences)
 
+    def filled(self, other: Table, longer_s: float) -> Table:
+        """This table, and the rows of another one of the same columns from where it has none for longer."""
+        after = np.searchsorted(self.t, other.t)
+        bounds = np.concatenate([[-np.inf], self.t, [np.inf]])
+        lacks = (bounds[after + 1] - bounds[after] > longer_s) & (bounds[after + 1] != other.t)
+        if not lacks.any():
+            return self
+        more = other.only(lacks)
+        order = np.argsort(np.concatenate([self.t, more.t]), kind="stable")
+        mine, theirs = ((each.t, each.values, each.stamps_ns, each.sequences) for each in (self, more))
+        return Table(self.names, *(np.concatenate(pair)[order] for pair in zip(mine, theirs, strict=True)))
+
 
 class Change(NamedTuple):
     """An agent came from state `before` ("" when nothing is known of it) to `state` at `t_s`; `row` names the

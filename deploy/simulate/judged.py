@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Final
-
-from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
@@ -15,17 +10,9 @@ from deploy.recording.recording import Recording
 from deploy.simulate.simulation import Simulation
 from deploy.simulate.worker_pool import Abandoned, GoOn
 
-WATCH_NS: Final = NS_PER_S // 20
-"""Of fleet time: so often whoever watches a simulation is shown it."""
 
-
-def drive(
-    fleet: Fleet, go_on: GoOn = lambda: True, watch: Callable[[Simulation], None] | None = None
-) -> Recording:
+def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:
     """Drives `fleet` (resolved) for its duration. What went wrong in the operator's eyes is in `reasons`.
-
-    Args:
-        watch: is shown the simulation every `WATCH_NS`, from before the epoch to the end.
 
     Raises:
         Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
@@ -59,7 +46,5 @@ def drive(
         return True
 
     simulation = Simulation(fleet, sink)
-    if watch is not None:
-        simulation.every(WATCH_NS, partial(watch, simulation))
     simulation.run(progress)
     return data.recording(reasons=simulation.reasons)

@@ -19,7 +19,6 @@ from math import ceil
 from typing import Final
 
 from agent.common.time import NS_PER_MS, NS_PER_S, LocalTime
-from agent.control.hand import Pose
 from agent.core import Agent
 from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
@@ -28,7 +27,7 @@ from agent.links.fault_plan import FaultPlan
 from agent.links.ticks import Ticks, next_tick_ns
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
-from agent.messages.types import Event, Heartbeat, Mission, Outgoing, Resume, Stop
+from agent.messages.types import Event, Heartbeat, Mission, Outgoing, PlantState, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.node import TOLD_SHARE, Node, inbox_size
 from agent.supervision.state_machine import State
@@ -317,31 +316,28 @@ class Simulation:
                 self.publish(key, payload)
             heapq.heapreplace(due, (host.due_ns, order, life))
 
-    def runs(self, robot: int, role: str) -> bool:
+    def _runs(self, robot: int, role: str) -> bool:
         """Whether a process (`role` "agent" or "plant") is there, and goes on."""
-        host = self._hosts[self._order[robot, role]]
+        host = self._host(robot, role)
         return host.up and not host.paused
 
-    def poses(self) -> list[Pose]:
-        """Where the bodies truly are (W), in the order of the robots: a vehicle goes on without a bridge."""
-        found = []
-        for robot in self.fleet.ids:
-            body = self._bodies.there(robot)
-            if not self.runs(robot, "plant"):
-                body.alone(self._clocks[robot].local_ns(self.now_ns))
-            found.append(body.pose)
-        return found
+    def _host(self, robot: int, role: str) -> _Host:
+        return self._hosts[self._order[robot, role]]
+
+    def _tell_truth(self, robot: int, life: int) -> None:
+        """Records where a vehicle is of which no bridge tells, for the verdict, until one does. Nobody in the
+        fleet hears it."""
+        host, node = self._host(robot, "plant"), self.plants[self.fleet.ids.index(robot)]
+        if self._sink is None or life != host.life or (self._runs(robot, "plant") and node.healthy):
+            return
+        local_ns = self._clocks[robot].local_ns(self.now_ns)
+        body = self._bodies.there(robot)
+        if self._runs(robot, "plant") or body.alone(local_ns):
+            state = PlantState(robot, 0, local_ns, *body.pose, 0.0, 0.0, False, True, False, "")
+            self._sink(self.now_ns, key_expressions.plant_truth(self.fleet.fleet.name, robot), encode(state))
+            self._at(self.now_ns + self.fleet.period_ns, partial(self._tell_truth, robot, life))
 
     # ------------------------------------------------------------------ what rules do to processes
-
-    def every(self, period_ns: int, do: Callable[[], None]) -> None:
-        """Calls `do` now, and after every such period from then on."""
-
-        def again() -> None:
-            do()
-            self._at(self.now_ns + period_ns, again)
-
-        self._at(self.now_ns, again)
 
     def _at(self, time_ns: int, do: Callable[[], None]) -> None:
         """Does `do` at a time; of one time, what was asked for first comes first."""
@@ -349,8 +345,7 @@ class Simulation:
         self._planned += 1
 
     def _carry_out(self, action: Action) -> None:
-        order = self._order[action.robot, action.role]
-        host = self._hosts[order]
+        order, host = self._order[action.robot, action.role], self._host(action.robot, action.role)
         if action.what == "kill":
             host.kill(self.now_ns)
             if action.wipe:
@@ -366,6 +361,8 @@ class Simulation:
             else:
                 host.resume(self.now_ns)
             heapq.heappush(self._due, (host.due_ns, order, host.life))
+        if action.role == "plant" and action.what in ("kill", "stop"):
+            self._tell_truth(action.robot, host.life)
         event = Event(action.robot, self._events, self.now_ns, action.role, action.what, action.rule)
         self._events += 1
         if self._sink is not None:
@@ -433,7 +430,7 @@ class Simulation:
     @property
     def _heard(self) -> set[int]:
         """The robots whose agents have said something lately: each does in every tick."""
-        ticked = {robot: self._hosts[self._order[robot, "agent"]].ticked_ns for robot in self.fleet.ids}
+        ticked = {robot: self._host(robot, "agent").ticked_ns for robot in self.fleet.ids}
         return {robot for robot, at_ns in ticked.items() if at_ns >= 0 and self.now_ns - at_ns < HEARD_NS}
 
     def _carry_order_out(self, order: OrderSection) -> None:
@@ -492,5 +489,5 @@ class Simulation:
         return all(
             agent.state in (State.STOPPED, State.STANDBY, State.FAULT)
             for agent in self.agents
-            if self._hosts[self._order[agent.robot, "agent"]].up
+            if self._host(agent.robot, "agent").up
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ CLEARANCE_TOLERANCE_M: Final = 0.01
 OUTSIDE_S: Final = 1.0
 """A robot outside the geofence must hold within so long."""
 _BARE: Final = "With avoidance.enabled = false nothing keeps such pairs apart."
+_NOBODY: Final = " Nothing steered either of them."
 _RELEASED: Final = frozenset({State.RELEASED.value})
 
 
@@ -38,20 +39,22 @@ def separation(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violatio
     ]
 
 
-def _too_close(approaches: Approaches, safe_m: float, relation: str, more: str = "") -> list[Violation]:
+def _too_close(approaches: Approaches, safe_m: float, relation: str, more: str = "") -> Iterator[Violation]:
     """One violation for all pairs of a kind that came below the safe distance: the closest is named."""
-    if not approaches.unsafe:
-        return []
-    distance_m, t_s, (i, j) = approaches.unsafe[0]
-    count = len(approaches.unsafe)
-    others = {1: "", 2: " One other such pair came too close as well."}.get(
-        count, f" {count - 1} other such pairs came too close as well."
-    )
-    message = (
-        f"Robots {i} and {j}, which {relation}, came within {distance_m:.3f} m of each other at {t_s:.2f} s; "
-        f"the safe distance is {safe_m:.3f} m.{others}{more}"
-    )
-    return [Violation(SEPARATION, t_s, message)]
+    for near, words, avoidable in (
+        (approaches.unsafe, more, True),
+        (approaches.unavoidable, _NOBODY, False),
+    ):
+        if near:
+            distance_m, t_s, (i, j) = near[0]
+            others = {1: "", 2: " One other such pair came too close as well."}.get(
+                len(near), f" {len(near) - 1} other such pairs came too close as well."
+            )
+            message = (
+                f"Robots {i} and {j}, which {relation}, came within {distance_m:.3f} m of each other at "
+                f"{t_s:.2f} s; the safe distance is {safe_m:.3f} m.{others}{words}"
+            )
+            yield Violation(SEPARATION, t_s, message, avoidable)
 
 
 def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
@@ -61,7 +64,7 @@ def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation
         return None
     least_m = clearance_kept_m(fleet, a.safe_m)
     found = []
-    for index, robot, driven in _driven(recording, a):
+    for index, robot, rows, words, avoidable in _judged(recording, a):
         for obstacle in obstacles:
             away_m = distances(obstacle, a.hands[:, index])
             near = away_m < least_m
@@ -69,7 +72,7 @@ def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation
             has_place = np.isfinite(a.desired[:, index, 0]).any()
             stays = has_place and not out.any()  # though its place is elsewhere
             near &= np.logical_or.accumulate(out) | stays  # begun there: only once it has been out
-            near &= driven
+            near &= rows
             if not near.any():
                 continue
             k = int(np.where(near, away_m, np.inf).argmin())
@@ -79,7 +82,8 @@ def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation
                 if worst_m < 0.0
                 else f"came within {worst_m:.3f} m (at least {least_m + CLEARANCE_TOLERANCE_M:.3f} m) of"
             )
-            found.append(Violation("clearance", t_s, f"Robot {robot} {what} {obstacle.name} at {t_s:.2f} s."))
+            message = f"Robot {robot} {what} {obstacle.name} at {t_s:.2f} s.{words}"
+            found.append(Violation("clearance", t_s, message, avoidable))
     return found
 
 
@@ -97,9 +101,9 @@ def geofence(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         return None
     furthest_m = furthest_outside_m(fleet)
     found = []
-    for index, robot, driven in _driven(recording, a):
+    for index, robot, rows, words, avoidable in _judged(recording, a):
         inside_m = distances(fence, a.hands[:, index])
-        outside = (inside_m < 0.0) & driven
+        outside = (inside_m < 0.0) & rows
         inside = inside_m >= 0.0
         outside &= np.logical_or.accumulate(inside) | (not inside.any())
         if not outside.any():
@@ -107,16 +111,16 @@ def geofence(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         status = recording.robots[robot].status
         since_s = lasting(outside & said(status, a.grid, DRIVING_NAMES), a.grid, OUTSIDE_S)
         if since_s is not None:
-            message = f"Robot {robot} went on driving outside the geofence, from {since_s:.2f} s on."
-            found.append(Violation("geofence", since_s, message))
+            message = f"Robot {robot} went on driving outside the geofence, from {since_s:.2f} s on.{words}"
+            found.append(Violation("geofence", since_s, message, avoidable))
         k = int(np.where(outside, inside_m, np.inf).argmin())
         if inside_m[k] < -furthest_m:
             t_s = float(a.grid[k])
             message = (
                 f"Robot {robot} was {-inside_m[k]:.2f} m outside the geofence at {t_s:.2f} s: braking takes "
-                f"{furthest_m:.2f} m at most."
+                f"{furthest_m:.2f} m at most.{words}"
             )
-            found.append(Violation("geofence", t_s, message))
+            found.append(Violation("geofence", t_s, message, avoidable))
     return found
 
 
@@ -128,8 +132,22 @@ def furthest_outside_m(fleet: Fleet) -> float:
     return most_mps**2 / (2.0 * braking) + most_mps * (control.wrench_timeout_s + 0.1)
 
 
-def _driven(recording: Recording, a: Analysis) -> Iterator[tuple[int, int, Flags]]:
-    """(row, robot, (k,) where nobody else drove it) of every robot whose place is known."""
+class _Judged(NamedTuple):
+    """`rows` (k,) of one robot, in column `at`, that nobody else drove; and what is said of them."""
+
+    at: int
+    robot: int
+    rows: Flags
+    words: str
+    avoidable: bool
+
+
+def _judged(recording: Recording, a: Analysis) -> Iterator[_Judged]:
+    """Of every robot whose place is known: when it was commanded, and when it went on by itself."""
     for index, (robot, data) in enumerate(recording.robots.items()):
         if len(data.body):
-            yield index, robot, ~said(data.status, a.grid, _RELEASED)
+            rows = ~said(data.status, a.grid, _RELEASED)
+            rolling = a.uncommanded.rolling[:, index]
+            yield _Judged(index, robot, rows & ~rolling, "", True)
+            if rolling.any():
+                yield _Judged(index, robot, rows & rolling, " Nothing commanded it.", False)

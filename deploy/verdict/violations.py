@@ -17,11 +17,15 @@ REACTION_S: Final = 0.1
 
 
 class Violation(NamedTuple):
-    """An oracle's rule was broken at fleet time `t_s`; `message` is a full sentence."""
+    """An oracle's rule was broken at fleet time `t_s`; `message` is a full sentence.
+
+    `avoidable` is False where nothing commanded the bodies that it is about, or nobody steered them.
+    """
 
     oracle: str
     t_s: float
     message: str
+    avoidable: bool = True
 
 
 def reaction_s(recording: Recording) -> float:

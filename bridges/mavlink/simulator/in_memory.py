@@ -95,9 +95,10 @@ class SimulatedRoverPlant(VirtualBody):
         x, y = frames.geodetic_to_world(self._datum, rover.place)
         return Pose(x, y, frames.heading_from_yaw(rover.yaw), rover.speed, frames.yaw_rate(rover.yaw_rate))
 
-    def alone(self, now_ns: int) -> None:
+    def alone(self, now_ns: int) -> bool:
         """See `VirtualBody.alone`."""
         self.transport.advance(now_ns)
+        return True
 
     def clear_to_drive(self) -> None:
         """See `PlantBackend.clear_to_drive`."""

@@ -41,6 +41,7 @@ class Gap:
         lasts: to the end of the drive.
         rule: names the rule that stopped its plant, if one did.
         is_lost: it comes of a damaged file.
+        is_hidden: where the robot was meanwhile is not known.
         moved_m: how far apart the poses before and after it are, m; inf where one is missing.
         stall: when no robot of its machine sent a pose, and why, if that was so.
         is_late: whether its machine was too slow (`deploy.verdict.overload`).
@@ -55,6 +56,7 @@ class Gap:
     lasts: bool = False
     rule: str = ""
     is_lost: bool = False
+    is_hidden: bool = True
     moved_m: float = 0.0
     stall: Stall | None = None
     is_late: bool = False
@@ -143,7 +145,8 @@ class MissingPoses:
             if gap.rule:
                 what = f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant"
             more = f"; it {gap.stake.words}" if gap.stake and gap.stake.may_be_broken else ""
-            out.append(f"{what}: from {gap.start_s:.2f} s to {until} its place is not known{more}.")
+            lacks = "its place is not known" if gap.is_hidden else "it sent no pose"
+            out.append(f"{what}: from {gap.start_s:.2f} s to {until} {lacks}{more}.")
         return out
 
     def is_placed(self, robot: int, t: float) -> bool:
@@ -304,8 +307,8 @@ def _describe(
         for role in ("agent", "plant")
     )
     found = Gap(
-        gap.robot, gap.start_s, gap.end_s, gap.lasts, gap.rule, gap.is_lost, moved_m, stall, is_late,
-        bool(gap.rule) and dead,
+        gap.robot, gap.start_s, gap.end_s, gap.lasts, gap.rule, gap.is_lost, gap.is_hidden, moved_m, stall,
+        is_late, bool(gap.rule) and dead,
     )  # fmt: skip
     if gap.lasts or not gap.is_hidden or (found.is_of_machine and moved_m <= safe_m):
         return found

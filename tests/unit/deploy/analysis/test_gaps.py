@@ -66,6 +66,23 @@ def test_where_a_simulated_body_is_that_a_rule_stopped_is_known() -> None:
     assert (gap.rule, gap.is_hidden) == ("freeze", True)
 
 
+def test_where_a_rover_rolled_to_in_virtual_time_is_known_though_it_told_nothing() -> None:
+    """What its bridge did not tell is a gap all the same; of a real run nobody knows it."""
+    killed = Event(2, 0, EPOCH_NS + 3_010_000_000, "plant", "kill", "lost")
+    again = Event(2, 1, EPOCH_NS + 4_010_000_000, "plant", "start", "lost")
+    rovers = replace(FLEET, robots=tuple(replace(robot, plant="mavlink") for robot in FLEET.robots))
+    whole, short = (replace(lacking(2, 3.05, until_s), fleet=rovers) for until_s in (0.0, 4.95))
+    simulated = replace(whole, mode="simulate", events=(killed, again))
+    (gap,) = pose_gaps(simulated)
+    assert (gap.rule, gap.is_hidden) == ("lost", False)
+    assert (gap.start_s, gap.end_s) == pytest.approx((3.0, 4.1))
+    assert (gap.before, gap.after) == tuple(np.searchsorted(simulated.robots[2].body.t, (3.0, 4.05)))
+    assert not analysed(simulated).unknown.any()
+    (gap,) = pose_gaps(replace(short, events=(killed, again)))
+    assert gap.is_hidden
+    assert pose_gaps(replace(whole, events=(killed, again))) == []
+
+
 def test_what_a_file_has_lost_is_no_matter_of_the_robot() -> None:
     recording = replace(lacking(2, 3.05, 3.85), damage=(Damage("run.mcap", 3.06, 3.84),))
     assert [gap.is_lost for gap in pose_gaps(recording)] == [True]

@@ -309,6 +309,22 @@ def test_truth_is_preferred_to_measurements() -> None:
     assert recording.robots[1].plant["x"][0] == 1.5
 
 
+def test_where_no_truth_was_recorded_what_was_measured_stands_for_it() -> None:
+    """As in virtual time of a vehicle: true poses come while its bridge is dead, and no others."""
+
+    def kept(each: Sent) -> bool:
+        t, is_lost = (each[0] - EPOCH_NS) / 1e9, each[1].endswith("/plant/truth")
+        return not each[1].endswith(("/plant/truth", "/plant/state")) or (0.195 < t < 0.405) == is_lost
+
+    sent = messages(make_fleet(*triangle(2), duration_s=2.0), [standing(1, 2)] * 3, truth=True)
+    body = fed(FLEET, filter(kept, sent)).robots[1].body
+    is_true = body["x"] == 1.0  # measurements are half a metre off
+    assert ((body.t > 0.195) & (body.t < 0.405)).tolist() == is_true.tolist()
+    assert 0 < is_true.sum() < len(body)
+    assert (np.diff(body.t) > 0.0).all()
+    assert len(body.stamps_ns) == len(body.sequences) == len(body)
+
+
 def test_a_robot_that_sent_nothing_has_no_place() -> None:
     sent = [each for each in messages(FLEET, in_formation(FLEET)) if "robot/2/" not in each[1]]
     hands = fed(FLEET, sent).hand_positions()

@@ -13,6 +13,7 @@ from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
+from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Checks, Message, PlantState, Status
 from bridges.mavlink.bridge.backend import BEGUN_LATE
@@ -83,7 +84,10 @@ def test_unicycle_and_rover_drive_together_until_a_restart_of_the_bridge(mixed: 
     since = [
         message
         for message in heard
-        if type(message) is PlantState and message.robot == 2 and message.time_ns > begun_ns
+        if type(message) is PlantState
+        and message.robot == 2
+        and message.sequence
+        and message.time_ns > begun_ns
     ]
     assert not since[0].healthy, "the new bridge has heard nothing of its vehicle yet"
     known = next(message for message in since if message.healthy)
@@ -93,25 +97,31 @@ def test_unicycle_and_rover_drive_together_until_a_restart_of_the_bridge(mixed: 
     assert any(message.reason == BEGUN_LATE for message in told)
 
 
-def test_where_a_vehicle_truly_is_is_known_though_no_bridge_steps_it(mixed: Fleet) -> None:
-    """It rolls on; a simulated body whose plant is dead stands."""
+def test_where_a_vehicle_truly_is_is_recorded_though_no_bridge_tells(mixed: Fleet) -> None:
+    """It rolls on, and is told until its new bridge knows where it is. A simulated body stands."""
     rules = tuple(
-        replace(rule, restart=None, kill="plant", robot=robot)
+        replace(rule, restart=None, kill="plant", duration=2.0, robot=robot)
         for rule in mixed.faults.rules
         for robot in (1, 2)
     )
-    simulation = Simulation(replace(mixed, faults=replace(mixed.faults, rules=rules)))
-    seen: list[int] = []
-    simulation.every(NS_PER_S // 2, lambda: seen.append(simulation.now_ns))
-    assert simulation.start(5 * NS_PER_S), simulation.reasons
-    simulation.run_until(simulation.epoch_ns + round(2.1 * NS_PER_S))
-    assert [simulation.runs(robot, "plant") for robot in (1, 2)] == [False, False]
-    assert simulation.runs(2, "agent")
-    before = simulation.poses()
-    simulation.run_until(simulation.epoch_ns + 3 * NS_PER_S)
-    after = simulation.poses()
-    assert after[0] == before[0]
-    went = hypot(after[1].x - before[1].x, after[1].y - before[1].y)
-    assert went == pytest.approx(0.9 * abs(before[1].speed), rel=0.2)
-    assert went > 0.01
-    assert {b - a for a, b in pairwise(seen)} == {NS_PER_S // 2}
+    heard: list[tuple[str, Message]] = []
+    simulation = Simulation(
+        replace(mixed, faults=replace(mixed.faults, rules=rules)),
+        lambda now_ns, key, payload: heard.append((key, decode(payload))),
+    )
+    simulation.run()
+    told = [(key, message) for key, message in heard if type(message) is PlantState]
+    assert not any(key == key_expressions.plant_truth(mixed.fleet.name, 1) for key, _ in told)
+    true_key = key_expressions.plant_truth(mixed.fleet.name, 2)
+    true = [message for key, message in told if key == true_key]
+    seen = [message for key, message in told if key != true_key and message.robot == 2 and message.healthy]
+    lost_ns = simulation.epoch_ns + 2 * NS_PER_S
+    before = max(message.time_ns for message in seen if message.time_ns < lost_ns)
+    back = min(message.time_ns for message in seen if message.time_ns > lost_ns)
+    assert back > lost_ns + 2 * NS_PER_S, "the new bridge has its vehicle to find first"
+    assert before < true[0].time_ns < true[-1].time_ns <= back
+    assert {b.time_ns - a.time_ns for a, b in pairwise(true)} == {mixed.period_ns}
+    first, last = true[0], next(message for message in true if message.time_ns > lost_ns + NS_PER_S)
+    assert hypot(last.x - first.x, last.y - first.y) == pytest.approx(abs(first.speed), rel=0.2)
+    assert abs(first.speed) > 0.02
+    assert not any(message.driving or message.obeying for message in true)

@@ -131,7 +131,7 @@ def test_one_that_was_killed_for_good_sends_no_pose() -> None:
     data = Completeness(recording, analyse(recording, resolve(FLEET)))
     assert data.reasons == []
     assert data.warnings == [
-        "Rule 'crash' stopped robot 2's plant: from 3.00 s to the end its place is not known.",
+        "Rule 'crash' stopped robot 2's plant: from 3.00 s to the end it sent no pose.",
         "The agent of robot 2 was killed at 3.0 s for good, and nobody took its place.",
     ]
     missed = "The data are incomplete: robot 2 sent no pose from 3.00 s to 8.00 s."

@@ -129,6 +129,36 @@ def test_separation_of_a_pair_without_an_edge_whatever_the_law_promises() -> Non
     ]
 
 
+def of_rovers(recording: Recording) -> dict[str, list[Violation] | None]:
+    """What is found of a run in virtual time of rovers, of which all is known."""
+    robots = tuple(replace(robot, plant="mavlink") for robot in recording.fleet.robots)
+    return examined(replace(recording, fleet=replace(recording.fleet, robots=robots), mode="simulate"))
+
+
+def test_what_came_near_while_nothing_steered_it_is_told_as_that() -> None:
+    """Two rovers of which one rolls on; the other one has its bridge, and its agent, or it has not."""
+    lost = event(0.5, 2, "plant", "kill")
+
+    def dips(t: float) -> tuple[float, float, float]:
+        return 0.15 if abs(t - 2.0) < 0.001 else 1.0, 0.0, 0.0
+
+    def judged(*events: Sent) -> Violation:
+        (violation,) = of_rovers(recorded(PAIR, standing(0, 0), dips, extra=events))["separation"] or ()
+        return violation
+
+    near = (
+        "Robots 1 and 2, which share an edge, came within 0.150 m of each other at 2.00 s; the safe distance "
+        "is 0.220 m."
+    )
+    assert judged(lost) == Violation("separation", 2.0, near)
+    for other in ("agent", "plant"):
+        found = judged(lost, event(1.0, 1, other, "kill"))
+        assert found == Violation("separation", 2.0, f"{near} Nothing steered either of them.", False)
+    found = judged(lost, event(1.0, 1, "agent", "kill"), event(2.005, 1, "agent", "start"))
+    assert not found.avoidable, "when it was back they were further apart"
+    assert judged(event(0.5, 2, "agent", "kill"), event(0.5, 1, "agent", "kill")).avoidable, "they brake"
+
+
 def test_separation_of_a_pair_that_passes_between_two_samples() -> None:
     slow = make_fleet([(-4.0, 0.1), (4.0, 0.0)], [(1, 2)], duration_s=4.0, rate_hz=2.0)
 
@@ -206,6 +236,27 @@ def test_clearance_excuses_who_begins_there_and_who_is_driven_by_another() -> No
 
     assert found("clearance", with_obstacle(), visits, standing(1, 0), change=released) == []
     assert found("clearance", with_obstacle(), visits, standing(1, 0))
+
+
+def test_a_rover_that_nothing_commands_is_told_to_be_where_it_rolled_to() -> None:
+    def rolls(t: float) -> tuple[float, float, float]:
+        return (0.0, 2.25, 0.0) if abs(t - 2.0) < 0.001 else (0.0, 0.0, 0.0)
+
+    lost = event(0.5, 1, "plant", "kill")
+    (violation,) = (
+        of_rovers(recorded(with_obstacle(), rolls, standing(1, 0), extra=[lost]))["clearance"] or ()
+    )
+    said = "Robot 1 was 0.250 m inside shed at 2.00 s. Nothing commanded it."
+    assert violation == Violation("clearance", 2.0, said, False)
+    late = event(2.1, 1, "plant", "kill")
+    (violation,) = (
+        of_rovers(recorded(with_obstacle(), rolls, standing(1, 0), extra=[late]))["clearance"] or ()
+    )
+    assert violation.avoidable
+    fled = recorded(FENCED, _outside(3.5, 1.5, 3.0), standing(0, 0), extra=[lost])
+    outside = of_rovers(fled)["geofence"] or ()
+    assert {violation.avoidable for violation in outside} == {False}
+    assert all(violation.message.endswith("Nothing commanded it.") for violation in outside)
 
 
 FENCED = replace(PAIR, geofence=GeofenceSection(((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))))

@@ -136,9 +136,7 @@ def test_what_a_rule_did_is_no_share_of_it_and_fails_nothing() -> None:
     recording = replace(lacking(2, (3.05, 12.95)), events=(stopped, back))
     data = MissingPoses(recording, analyse(recording, resolve(WIDE)))
     assert data.reasons == []
-    assert data.warnings == [
-        "Rule 'freeze' stopped robot 2's plant: from 3.00 s to 13.00 s its place is not known."
-    ]
+    assert data.warnings == ["Rule 'freeze' stopped robot 2's plant: from 3.00 s to 13.00 s it sent no pose."]
 
 
 def gaps_of(robots: int, **known: Any) -> tuple[list[str], list[str]]:
