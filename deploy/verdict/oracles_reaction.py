@@ -28,6 +28,8 @@ ARRIVES_ON_HOSTS_S: Final = 0.8
 longer than until the robot's agent says that it has it."""
 VEHICLE_STAND_S: Final = 5.0
 """A real vehicle may take so long to come to rest: how hard it brakes is not known."""
+VEHICLE_STANDS_LATER_S: Final = 1.0
+"""An EKF has a vehicle at rest so long after it stands: it goes on at 0.05 to 0.1 m/s, and fades."""
 AGREED_S: Final = 3.0
 """What an operator ordered so long ago, all have acknowledged."""
 _LOSS_MAX: Final = 0.5
@@ -147,9 +149,10 @@ def _moves(
         at = int(np.searchsorted(t, start_s))
         most = float(speed[at : at + 20].max(initial=0.0))
         hardest = BRAKE_DECELERATION_MAX if body.max_force_n is None else body.max_force_n / body.mass_kg
+        later_s = 5.0 * BRAKE_TIME_S
         if body.kind.vehicle:  # it brakes as the fleet counts on, not as a unicycle can
-            hardest = acceleration_max(fleet)
-        braking_s = most / min(BRAKE_DECELERATION_MAX, hardest) + 5.0 * BRAKE_TIME_S
+            hardest, later_s = acceleration_max(fleet), later_s + VEHICLE_STANDS_LATER_S
+        braking_s = most / min(BRAKE_DECELERATION_MAX, hardest) + later_s
     due = t > max(start_s + limit_s + braking_s, from_s)
     for down in downs(recording, data.id, "plant"):
         # It could not brake by rule while it was down, and begins when it is back.
