@@ -26,8 +26,9 @@ COMPILED_CFLAGS := -ffp-contract=off -g0
 DEMO_OUT ?= runs/demo
 QUICK := not process and not slow and not autopilot and not compiled
 REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
-# What users add in Python must work with what is compiled, and who watches whom goes by it.
+# What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
+DRIVES := in_simulate or in_run or mid_drive or supervision
 # Of the tests that start processes those of one module share what it has set up. All of tests/hosts
 # are one worker's, which has them as long as another has the rest: a third would only make both late.
 WAITING := -n 2 --dist loadfile --no-loadscope-reorder
@@ -53,7 +54,7 @@ test: $(VENV)/.dev ## all tests but those of `make compiled`: those that compute
 test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same bytes as the Python it is made of
 	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)
 	@rm -rf $(COMPILED_BUILD)/tests $(COMPILED_BUILD)/docs && cp -RP tests docs $(COMPILED_BUILD)
-	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider \
+	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider -k '$(DRIVES)' \
 	  $(addprefix tests/process/test_,$(ON_COMPILED)) $(call junit,compiled-processes)
 
 check: lint ## the quick loop: lint, then the fast tests
