@@ -387,8 +387,10 @@ class Agent:
             out.append(self._status(now_ns))
         shown, doubt = self._own_hand.shown, self._own_hand.doubt
         if shown is not None:
-            obeys = self._own_hand.obeys
-            out += self._outbox.beacon(now_ns, shown, doubt, following=self._follows, obeys=obeys)
+            obeys, lost_ms = self._own_hand.obeys, self._own_hand.lost_ms
+            out += self._outbox.beacon(
+                now_ns, shown, doubt, following=self._follows, obeys=obeys, lost_ms=lost_ms
+            )
             self._controller.told(now_ns, shown, self._outbox.told_mark)
         self._relay.look(now_ns, situation.plant, situation.unmoved_ns)
         out += self._relay.due(now_ns)
@@ -507,8 +509,10 @@ class Agent:
         out = [self._outbox.wrench(now_ns, brake=True)]
         shown, doubt = self._own_hand.shown, self._own_hand.doubt
         if shown is not None:
-            obeys = self._own_hand.obeys
-            hands = self._outbox.hand(now_ns, shown, doubt, following=self._follows, obeys=obeys)
+            obeys, lost_ms = self._own_hand.obeys, self._own_hand.lost_ms
+            hands = self._outbox.hand(
+                now_ns, shown, doubt, following=self._follows, obeys=obeys, lost_ms=lost_ms
+            )
             self._report.sent_hands += len(hands) * len(self._controller.edges)
             out += hands
         return out

@@ -35,6 +35,8 @@ class Reading(NamedTuple):
         healthy: False when the pose must not be used.
         note: why it is not healthy or not obeying; "" when it is both.
         obeying: False when the pose may be used, but commands do not reach the body: its operator has it.
+        asked: speed (m/s) and yaw rate (rad/s) that a body with a watchdog of its own was asked for last, and
+            goes on by until that stops it, when nothing commands it any more; None for any other.
     """
 
     time_ns: int
@@ -44,6 +46,7 @@ class Reading(NamedTuple):
     healthy: bool = True
     note: str = ""
     obeying: bool = True
+    asked: tuple[float, float] | None = None
 
 
 WAITING: Final = "waiting for "

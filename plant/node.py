@@ -363,4 +363,5 @@ class PlantNode:
             reading.healthy,
             reading.obeying,
             clipped(reading.note) if reading.note else "",
+            (reading.asked,) if reading.asked is not None else (),
         )

@@ -127,15 +127,12 @@ def _reading(given: Any, now_ns: int) -> Reading:
     if not isinstance(given, Reading):
         what = "not a Reading: Reading(now_ns, Pose(...), force, torque)"
         raise _WrongError(f"{type(given).__name__}, {what}")
-    time_ns, pose, force, torque, healthy, note, obeying = given
+    time_ns, pose, force, torque, healthy, note, obeying, asked = given
     if not isinstance(pose, Pose):
         raise _wrong("pose", type(pose).__name__, "not a Pose")
     numbers = {**pose._asdict(), "force": force, "torque": torque}
     for name, value in numbers.items():
-        numbers[name] = number(value)
-        if not abs(numbers[name]) <= FLOAT_MAX:
-            limit = f"which may be {FLOAT_MAX:g} at most"
-            raise _wrong(name, show(value), limit if abs(numbers[name]) < inf else "not a finite number")
+        numbers[name] = _finite(name, value)
     stamp = python(time_ns)
     # Virtual time begins at 0, and what is seen late is from before; a clock that the step reads is ahead.
     earliest, latest = min(0, now_ns - NS_PER_S), now_ns + FUTURE_NS_MAX
@@ -149,7 +146,24 @@ def _reading(given: Any, now_ns: int) -> Reading:
         raise _wrong("note", show(note), "not a text")
     *five, force, torque = numbers.values()
     text = printable(note[: TEXT_MAX + 1])  # longer ones are cut in messages, and marked
-    return Reading(max(0, stamp), Pose(*five), force, torque, note=text, **truths)
+    return Reading(max(0, stamp), Pose(*five), force, torque, note=text, asked=_setpoint(asked), **truths)
+
+
+def _finite(name: str, value: Any) -> float:
+    found = number(value)
+    if not abs(found) <= FLOAT_MAX:
+        limit = f"which may be {FLOAT_MAX:g} at most"
+        raise _wrong(name, show(value), limit if abs(found) < inf else "not a finite number")
+    return found
+
+
+def _setpoint(given: Any) -> tuple[float, float] | None:
+    """`Reading.asked`, as Python's own."""
+    if given is None:
+        return None
+    if not isinstance(given, tuple) or len(given) != 2:
+        raise _wrong("asked", show(given), "not None, nor a tuple of a speed and a yaw rate")
+    return _finite("asked[0]", given[0]), _finite("asked[1]", given[1])
 
 
 def _checks(given: Any) -> Sequence[Check]:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
-from agent.control import hand, law, safety_filter
+from agent.control import dodging, hand, law, safety_filter
 from agent.control.caution import TURNED
 from agent.control.couplings import Constraint
 from agent.control.detour import LEAVING, SPEED_MIN, Blocker
@@ -26,11 +26,14 @@ from agent.control.peers.prediction import Prediction, coasting
 from agent.control.peers.rolling import ROLL_ERROR
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
-from agent.control.safety_distances import acceleration_max, barrier_rate
+from agent.control.safety_distances import acceleration_max, barrier_rate, speed_max
 from agent.fleet.model import Fleet
 from agent.formation.reference import Edge
 from agent.messages.types import HandState
 
+MOST_OF: Final = 0.7
+"""So much of what gets a robot out of a body's way has to keep all else: where that leaves less of it, who
+stands between two keeps from both."""
 BESIDE: Final = 0.9
 """Share of the way from a body to the own place within which it may push."""
 STOP_S: Final = 0.1
@@ -65,12 +68,19 @@ class ConstraintAssembly:
         peers, proximity, right_of_way: of that robot.
     """
 
-    def __init__(self, fleet: Fleet, peers: Peers, proximity: Proximity, right_of_way: RightOfWay) -> None:
+    def __init__(
+        self, fleet: Fleet, robot: int, peers: Peers, proximity: Proximity, right_of_way: RightOfWay
+    ) -> None:
         self._peers, self._proximity, self._right_of_way = peers, proximity, right_of_way
         self._gains = gains_of(fleet)
         self._pushing = one_sided(self._gains)
         self._safe_distance, self._margin = fleet.formation.safe_distance_m, fleet.avoidance.margin_m
         self._barrier_rate, self._acceleration_max = barrier_rate(fleet), acceleration_max(fleet)
+        body = fleet.robot(robot)
+        turns = min(body.yaw_rate_max, dodging.TURN_MAX)
+        self._ability = dodging.Ability(self._acceleration_max, speed_max(fleet), turns, body.hand_offset_m)
+        self._rolling: dict[Peer, float] = {}
+        self._move = dodging.STAND
         self._is_own_law = fleet.control.law is not None
 
     def find(self, scene: Scene, time_ns: int, edges: tuple[tuple[Edge, Peer], ...], grip: float) -> None:
@@ -104,6 +114,35 @@ class ConstraintAssembly:
                 for plane in self._right_of_way.planes(own):  # others may drive there, or not
                     scene.planes.extend(_pushing_last(plane, own, self._barrier_rate))
 
+    def dodge(self, scene: Scene, body: hand.Pose) -> Vector | None:
+        """What to ask of the own hand, m/s^2, W, to get out of the way of those that roll on, though nothing
+        commands them; None where standing does, or something else is in the way. What keeps it from them
+        otherwise is taken out of `scene`.
+
+        Args:
+            body: the own one.
+        """
+        lost = self._rolling
+        if not lost:
+            self._move = dodging.STAND
+            return None
+        self._rolling = {}
+        ways = [(self._peers.lost.way(peer, scene.now_ns), gap) for peer, gap in lost.items()]
+        self._move = dodging.out_of_the_way(body, ways, self._ability, self._move)
+        if self._move == dodging.STAND:
+            return None
+        ux, uy = dodging.acceleration(body, self._move, self._ability)
+        names = {peer.name for peer in lost}
+        others = [plane for plane in scene.planes if plane.cause not in names]
+        if any(
+            MOST_OF * (plane.nx * ux + plane.ny * uy) < plane.least
+            for plane in others
+            if plane.rank <= safety_filter.SEPARATION
+        ):
+            return None
+        scene.planes[:] = others
+        return ux, uy
+
     def _constraint(
         self,
         scene: Scene,
@@ -131,7 +170,7 @@ class ConstraintAssembly:
         """One-sided constraint (U1) against a robot at `time_ns`, if it `pushes`, and its half plane (F3)."""
         own, now_ns = scene.own, scene.now_ns
         message = peer.message
-        if message is None or not peer.is_heard(now_ns):
+        if message is None or not peer.is_heard(now_ns) or peer.is_astray:
             self._keep_from_belief(scene, peer)
             return
         other = predicted or self._peers.carry(peer, time_ns)
@@ -250,6 +289,8 @@ class ConstraintAssembly:
         dx, dy = own.x - there.x, own.y - there.y
         gap = self._safe_distance + self._margin + doubt
         if hypot(dx, dy) < self._proximity.sensing + gap:
+            if rank == safety_filter.SEPARATION:
+                self._rolling[peer] = gap
             velocity, rate = (own.vx, own.vy), self._barrier_rate
             scene.planes.append(
                 safety_filter.keep_apart(

@@ -23,7 +23,7 @@ from agent.control.gains import gains_of
 from agent.control.peers.peer import Peer
 from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import BRAKING_TIME_S, constraint_decay
-from agent.control.peers.rolling import rolls_of, setpoint
+from agent.control.peers.rolling import asked, rolls_of, setpoint
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import (
@@ -150,7 +150,7 @@ class Controller:
         bound = fleet.avoidance.enabled and control.law is None
         self.detour: Final = Detour(fleet.period_ns / NS_PER_S, control.c2, bound=bound)
         self._hold = NOTHING
-        self._assembly = ConstraintAssembly(fleet, self.peers, self.proximity, self.right_of_way)
+        self._assembly = ConstraintAssembly(fleet, robot, self.peers, self.proximity, self.right_of_way)
         self.coupling: Final = COUPLINGS[control.coupling](gains_of(fleet), self.peers)
         self._own_law: OwnLaw | None = None
         if control.law is not None:
@@ -320,6 +320,8 @@ class Controller:
             numbers = self._own_law.numbers
         ux, uy = gx + cx, gy + cy
         causes: tuple[str, ...] = ()
+        if (dodge := self._assembly.dodge(scene, body)) is not None:
+            ux, uy = dodge
         if self.proximity.enabled:
             ux, uy, causes = self._last_stage(ux, uy, scene.planes, body, own, (vx, vy), slower)
         else:
@@ -344,8 +346,10 @@ class Controller:
         scene = Scene(now_ns, own, 0.0, 0.0, (own.x, own.y), [], [], [], [])
         self._assembly.find(scene, acting_ns, self.edges, 0.0)
         ux, uy = -own.vx / BRAKING_TIME_S, -own.vy / BRAKING_TIME_S
+        if (dodge := self._assembly.dodge(scene, body)) is not None:
+            ux, uy = dodge
         ux, uy, causes = self._last_stage(ux, uy, scene.planes, body, own, AT_REST, 1.0)
-        if rolling.isdisjoint(causes):
+        if dodge is None and rolling.isdisjoint(causes):
             return None
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         return _within(force, self._force_max), _within(torque, self._torque_max)
@@ -357,6 +361,8 @@ class Controller:
     def obeys(self, plant: PlantState, now_ns: int) -> Setpoint:
         """What the own body goes on by when nothing commands it any more from `now_ns` on."""
         pose = self._pose_at(plant, now_ns)
+        if plant.asked:
+            return asked(pose.heading, pose.speed, *plant.asked[0])
         along, spin = plant.force / self._mass, plant.torque / self._inertia
         return setpoint(pose.heading, pose.speed, pose.yaw_rate, along, spin)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp, hypot
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.prediction import BRAKING_TIME_S
@@ -29,6 +29,7 @@ class OwnHand:
         doubt: how far it may be from `shown`, m.
         obeys: what the body goes on by when nothing commands it any more, while it is measured and moves;
             once it is lost, what it went on by since it was measured last.
+        lost_ms: so long ago that was; 0 while it is measured.
     """
 
     def __init__(self, controller: Controller, rolls: Rolls | None = None) -> None:
@@ -37,6 +38,7 @@ class OwnHand:
         self.shown: Hand | None = None
         self.doubt = 0.0
         self.obeys: tuple[Setpoint, ...] = ()
+        self.lost_ms = 0
         self._seen: tuple[int, Hand, PlantState] | None = None
 
     def measured(self, now_ns: int, plant: PlantState) -> bool:
@@ -46,7 +48,7 @@ class OwnHand:
             return False
         self._seen = now_ns, here, plant
         self.here = self.shown = here
-        self.doubt = 0.0
+        self.doubt, self.lost_ms = 0.0, 0
         if self._rolls is not None:
             self.obeys = (self._controller.obeys(plant, now_ns),) if moves(here.vx, here.vy) else ()
         return True
@@ -58,7 +60,7 @@ class OwnHand:
         last, or have driven on until it was missed and braked since: it is somewhere on this way.
         """
         self.here = self.shown = None
-        self.obeys = ()
+        self.obeys, self.lost_ms = (), 0
         if self._seen is None:
             return
         since_ns, here, plant = self._seen
@@ -68,6 +70,7 @@ class OwnHand:
             return
         if rolls:
             self._roll_on(near, self._controller.obeys(plant, plant.time_ns), rolls)
+            self.lost_ms = max(1, (now_ns - plant.time_ns) // NS_PER_MS)
             return
         remains = exp(-(now_ns - since_ns) / NS_PER_S / BRAKING_TIME_S)
         way = BRAKING_TIME_S * (1.0 - remains)

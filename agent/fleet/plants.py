@@ -36,6 +36,7 @@ class Kind(NamedTuple):
             has it. Any other starts where the fleet file says, and its place is kept for it.
         rolls_on_s: for so long the body goes on as it went once nothing can command it any more, s, and stops
             then: it has a watchdog of its own, which no setting makes faster.
+        turns: field of its table that limits how fast the body turns, rad/s; "" where none does.
         needs_datum: whether its place is one on the earth.
         section: its table in the fleet file; None: it has none.
         local: fields of that table which only its own computer needs: not part of the digest.
@@ -50,6 +51,7 @@ class Kind(NamedTuple):
     simulator: str = ""
     vehicle: bool = False
     rolls_on_s: float = 0.0
+    turns: str = ""
     needs_datum: bool = False
     section: Entry | None = None
     local: tuple[str, ...] = ()
@@ -73,6 +75,7 @@ KINDS: Final = {
             simulator="bridges.mavlink.simulator",
             vehicle=True,
             rolls_on_s=3.0,  # ArduRover, measured: it hears no setpoint for so long
+            turns="max_yaw_rate_radps",
             needs_datum=True,
             section=section_entry(
                 "mavlink",

@@ -369,6 +369,13 @@ class Body(Sectioned):
         except plugins.PluginError:
             return plants.Kind(self.plant)
 
+    @property
+    def yaw_rate_max(self) -> float:
+        """How fast its body turns at most, rad/s; inf where its plant sets no limit."""
+        kind = self.kind
+        table = self.section(kind.section.hint) if kind.turns and kind.section is not None else None
+        return math.inf if table is None else float(getattr(table, kind.turns))
+
     def section(self, model: type[T]) -> T | None:
         """The table of this model, None where the robot's plant has no such table or it is not given."""
         own = self.kind.section

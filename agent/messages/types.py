@@ -134,6 +134,16 @@ _DOUBT: Final = About(
 )
 
 
+_LOST: Final = About(
+    "How long ago its body was measured last, while its plant is lost and it may roll on",
+    "ms",
+    least=0,
+    most=60_000,
+    before=0,
+    omitted=True,
+)
+
+
 class Multiplier(NamedTuple):
     """One of the sender's copies of lambda: of an edge, or of a robot that it is kept away from."""
 
@@ -237,6 +247,7 @@ class HandState(NamedTuple):
             omitted=True,
         ),
     ] = ()
+    lost_ms: Annotated[int, _LOST] = 0
 
     @classmethod
     def placed(
@@ -249,10 +260,11 @@ class HandState(NamedTuple):
         place: tuple[float, float, float, float],
         doubt: float = 0.0,
         obeys: tuple[tuple[float, float, float], ...] = (),
+        lost_ms: int = 0,
     ) -> HandState:
         """One that says only where a robot is, as a beacon does; `place`: x, y, vx, vy."""
         said = (*place, *NO_FORCES, doubt)
-        return cls(robot, sequence, time_ns, following, degree, *said, (), (), obeys=obeys)
+        return cls(robot, sequence, time_ns, following, degree, *said, (), (), obeys=obeys, lost_ms=lost_ms)
 
     @property
     def place(self) -> tuple[float, float, float, float]:
@@ -264,6 +276,13 @@ Forces = tuple[float, float, float, float, float, float]
 """Navigation force, constraint force and correction of a `HandState`, x and y of each."""
 NO_FORCES: Final[Forces] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """The forces and the correction of a `HandState` where there are none, or none are known."""
+
+
+class Asked(NamedTuple):
+    """What a body was asked for last that has a watchdog of its own, and goes on by until that stops it."""
+
+    speed: Annotated[float, _SPEED]
+    yaw_rate: Annotated[float, _YAW_RATE]
 
 
 class PlantState(NamedTuple):
@@ -289,6 +308,16 @@ class PlantState(NamedTuple):
     healthy: Annotated[bool, About("False when the measurement must not be used")]
     obeying: Annotated[bool, About("False when the body's operator has it", before=True)]
     note: Annotated[str, About("Why it is not healthy, or does not obey")]
+    asked: Annotated[
+        tuple[tuple[float, float], ...],
+        About(
+            "What its body goes on by when nothing commands it any more; none where it stands then",
+            rows=1,
+            row=Asked,
+            before=(),
+            omitted=True,
+        ),
+    ] = ()
 
 
 class Wrench(NamedTuple):
@@ -632,6 +661,13 @@ class Rolling(NamedTuple):
     yaw_rate: Annotated[float, _YAW_RATE]
 
 
+class Lost(NamedTuple):
+    """A robot whose plant is lost: as `HandState.lost_ms`, when it said so."""
+
+    robot: Annotated[int, _ROBOT]
+    lost_ms: Annotated[int, _LOST]
+
+
 class Beacon(NamedTuple):
     """Where one robot is, a few times a second, from its agent to all others.
 
@@ -677,6 +713,16 @@ class Beacon(NamedTuple):
             omitted=True,
         ),
     ] = ()
+    lost: Annotated[
+        tuple[tuple[int, int], ...],
+        About(
+            "Of these, whose plants are lost",
+            rows=SILENT_MAX + 1,
+            row=Lost,
+            before=(),
+            omitted=True,
+        ),
+    ] = ()
 
     @property
     def place(self) -> tuple[float, float, float, float]:
@@ -686,6 +732,10 @@ class Beacon(NamedTuple):
     def obeys(self, robot: int) -> tuple[tuple[float, float, float], ...]:
         """As `HandState.obeys`, of any robot that it tells of."""
         return tuple(row[1:] for row in self.rolling if row[0] == robot)[:1]
+
+    def lost_ms(self, robot: int) -> int:
+        """As `HandState.lost_ms`, of any robot that it tells of."""
+        return next((ms for each, ms in self.lost if each == robot), 0)
 
 
 class Heartbeat(NamedTuple):

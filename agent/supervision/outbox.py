@@ -112,6 +112,7 @@ class Outbox:
         multipliers: tuple[tuple[int, float], ...] = (),
         own: tuple[float, ...] = (),
         obeys: tuple[Setpoint, ...] = (),
+        lost_ms: int = 0,
     ) -> list[Outgoing]:
         """The hand state, where one is to be sent; arguments as its fields."""
         sequence, event = self._hands.next(now_ns), self._event
@@ -136,6 +137,7 @@ class Outbox:
             self._next_ms,
             self.stood_ms,
             obeys,
+            lost_ms,
         )
         if event is not None:
             round_ns = (now_ns - self._phase_ns) // self._period_ns * self._period_ns
@@ -147,7 +149,14 @@ class Outbox:
         return [(self._key_hand, encode(message))]
 
     def beacon(
-        self, now_ns: int, here: Hand, doubt: float, *, following: bool, obeys: tuple[Setpoint, ...] = ()
+        self,
+        now_ns: int,
+        here: Hand,
+        doubt: float,
+        *,
+        following: bool,
+        obeys: tuple[Setpoint, ...] = (),
+        lost_ms: int = 0,
     ) -> list[Outgoing]:
         """The beacon, when it is due."""
         if not self._schedule.is_turn(now_ns):
@@ -157,7 +166,7 @@ class Outbox:
             self._schedule.level = self.others_overload
             self._schedule.loses = any(peer.listened and peer.lateness.loses for peer in self._peers.known)
         message = self._schedule.timed(
-            self._beacon(now_ns, here, doubt, following=following, obeys=obeys),
+            self._beacon(now_ns, here, doubt, following=following, obeys=obeys, lost_ms=lost_ms),
             self._with_silent,
             lambda: self._peers.rows.near,
         )
@@ -172,7 +181,14 @@ class Outbox:
             self._schedule.heard(beacon, (*self._missions.mark, *self._latch.mark))
 
     def _beacon(
-        self, now_ns: int, here: Hand, doubt: float, *, following: bool, obeys: tuple[Setpoint, ...]
+        self,
+        now_ns: int,
+        here: Hand,
+        doubt: float,
+        *,
+        following: bool,
+        obeys: tuple[Setpoint, ...],
+        lost_ms: int,
     ) -> Beacon:
         return Beacon(
             self._robot,
@@ -188,6 +204,7 @@ class Outbox:
             overload=self.overload,
             stood_ms=self.stood_ms,
             rolling=tuple((self._robot, *each) for each in obeys),
+            lost=((self._robot, lost_ms),) if lost_ms else (),
         )
 
     def _onward(self, here: Beacon, for_ns: int) -> Vector | None:
@@ -203,5 +220,7 @@ class Outbox:
         """A beacon with what it tells of robots that are not heard."""
         peers, now_ns = self._peers, beacon.time_ns
         silent = peers.silent(now_ns)
-        rolling = (*beacon.rolling, *peers.rolling(silent)) if silent else beacon.rolling
-        return beacon._replace(silent=silent, unheard=peers.given_up(now_ns), rolling=rolling)
+        if silent:
+            rolling, lost = (*beacon.rolling, *peers.rolling(silent)), (*beacon.lost, *peers.lost_of(silent))
+            beacon = beacon._replace(rolling=rolling, lost=lost)
+        return beacon._replace(silent=silent, unheard=peers.given_up(now_ns))

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from math import inf, sqrt
 from typing import Final, NamedTuple
 
-from agent.control.peers.rolling import STOPS_S
-from agent.control.safety_distances import speed_max
+from agent.control.peers.rolling import STOPS_S, room_to_know
+from agent.control.safety_distances import acceleration_max, speed_max
 from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
@@ -266,13 +266,14 @@ def _rolling(fleet: Fleet, geometry: Geometry | None, vehicles: list[_Vehicle]) 
     rolls_s = max(vehicle.robot.kind.rolls_on_s for vehicle in vehicles)
     speed = speed_max(fleet)
     way = (rolls_s + STOPS_S) * speed
-    room = way + fleet.formation.safe_distance_m
+    keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
+    room = room_to_know(rolls_s, speed, fleet.control.plant_timeout_s, acceleration_max(fleet), keep)
     shortest = inf if geometry is None else float(geometry.distances.min(initial=inf))
     if shortest < room:
         yield Finding(
             "info",
             "control.max_speed_mps",
             f"a vehicle whose bridge or link is lost goes on for {rolls_s:g} s by itself, up to {way:.2g} m "
-            f"at {speed:g} m/s: the others keep away from that way, but who is nearer than {room:.2g} m may "
-            f"not get out of it in time, and edges are {shortest:.3g} m",
+            f"at {speed:g} m/s: the others keep away from that way, but who is nearer than {room:.2g} m, and "
+            f"drives at it as fast, may not get out of it in time, and edges are {shortest:.3g} m",
         )

@@ -8,14 +8,15 @@ every half second, alone and with its agent: it turns while it rolls, and who on
 from __future__ import annotations
 
 from math import hypot
-from typing import cast
+from pathlib import Path
+from typing import Final, cast
 
 import pytest
 
 from agent.common.time import NS_PER_S
 from agent.control import hand
 from agent.control.peers.rolling import ROLL_ERROR, rolled, rolls_of
-from agent.fleet.loading import parse_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.chaos.run import drive
@@ -27,6 +28,7 @@ from tests.rover_drive import driven
 DURATION_S = 14.0
 LONG_S = 18.0
 DOWN_S = 5
+SCENES: Final = Path(__file__).parent / "scenes"
 
 
 def killed(robot: int, what: str, at: float, more: str = "", *, for_good: bool = False) -> Fleet:
@@ -79,6 +81,16 @@ def test_one_that_did_not_hear_it_move_goes_round_it_later(what: str, misses: st
     through the body: 0.05 m."""
     fleet = killed(1, what, 1.1 if misses == "cut off" else 1.5, MISSES[misses], for_good=True)
     assert driven(fleet).pairs.min() >= fleet.formation.safe_distance_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scene", "from_s"), [("rows", 5.0), ("stopped", 4.0), ("turning", 3.0)])
+def test_who_drives_at_one_that_is_lost_gets_out_of_its_way(scene: str, from_s: float) -> None:
+    """A stranger's finds: it drove back in front of it, too slowly, and was run over: 0.70 to 0.82 m."""
+    fleet = resolved(load_fleet(SCENES / f"head_on_{scene}.toml"))
+    found = driven(fleet)
+    assert found.pairs.min() >= fleet.formation.safe_distance_m
+    assert (found.pairs[found.times > from_s].min(axis=0) < 2.0).any(), "they do meet"
 
 
 @pytest.mark.slow

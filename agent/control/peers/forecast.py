@@ -12,13 +12,21 @@ from math import ceil, exp, hypot, inf
 from typing import Final
 
 from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
+from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import Belief, own_doubt, rolled_on, stood_on
 from agent.control.peers.lanes import Lane
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.prediction import Prediction, coasting, following, slowed, unforced
-from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc_of, is_somewhere_on, moves, rolled
+from agent.control.peers.rolling import (
+    ROLL_ERROR,
+    Rolls,
+    arc_of,
+    begin_of,
+    is_somewhere_on,
+    moves,
+    rolled,
+)
 from agent.formation.reference import Reference
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -134,6 +142,17 @@ class Forecast:
             return belief
         return rolled_on(belief, arc_of(message, rolls), ROLL_ERROR)
 
+    def since_measured(self, message: HandState) -> HandState:
+        """A message of one whose plant is lost, as it was when its body was measured last; any other as it
+        is."""
+        rolls = self._rolls_on.get(message.robot)
+        if rolls is None or not message.lost_ms or not is_somewhere_on(message):
+            return message
+        x, y = begin_of(message, rolls)
+        at = rolled(x, y, message.obeys[0], rolls.reach, 0.0)
+        time_ns = message.time_ns - message.lost_ms * NS_PER_MS
+        return message._replace(time_ns=time_ns, x=x, y=y, vx=at.vx, vy=at.vy, doubt=0.0, lost_ms=0)
+
     def rolling(self, message: HandState, age: float) -> Hand | None:
         """Where the hand of a robot is, so many seconds after its message, that nothing commands since then;
         None for one that stands by then, or brakes as others do."""
@@ -141,6 +160,14 @@ class Forecast:
         if rolls is None or not message.obeys or age > rolls.for_s or is_somewhere_on(message):
             return None
         return rolled(message.x, message.y, message.obeys[0], rolls.reach, age)
+
+    def rolling_on(self, message: HandState, age: float, step_s: float) -> list[Vector]:
+        """Where it is from then on, every `step_s`, until it rests; empty where `rolling` gives None."""
+        rolls, found = self._rolls_on.get(message.robot), self.rolling(message, age)
+        if rolls is None or found is None:
+            return []
+        ages = (min(age + k * step_s, rolls.for_s) for k in range(2 + ceil((rolls.for_s - age) / step_s)))
+        return [rolled(message.x, message.y, message.obeys[0], rolls.reach, each)[:2] for each in ages]
 
     def rests_off(self, last: HandState, message: HandState) -> float:
         """How far from where `last` has it a robot comes to rest by `message`, m, if nothing commands it from

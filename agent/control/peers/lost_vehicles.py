@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
+from agent.control.dodging import STEP_S
 from agent.control.hand import Hand
 from agent.control.peers.forecast import Forecast
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peer import NEVER, Peer
-from agent.control.peers.rolling import is_somewhere_on
 
 
 class LostVehicles:
@@ -28,8 +29,8 @@ class LostVehicles:
         self._looked_ns = NEVER
 
     def may_roll(self, peer: Peer, now_ns: int) -> bool:
-        """Whether the body of a robot that is not heard may go on now, as nothing commands it."""
-        if not peer.rolls_on or peer.is_gone or peer.is_heard(now_ns):
+        """Whether the body of a robot may go on now, as nothing commands it."""
+        if not peer.rolls_on or peer.is_gone or (peer.is_heard(now_ns) and not peer.is_astray):
             return False
         return self.hand(peer, now_ns) is not None
 
@@ -49,6 +50,15 @@ class LostVehicles:
             return None
         return self._rolled(peer, now_ns)
 
+    def way(self, peer: Peer, now_ns: int) -> list[Vector]:
+        """Where the hand of a robot is every `STEP_S` from now on, until it rests, m, W, if nothing commands
+        its body."""
+        went = peer.went
+        if went is None:
+            return []
+        age = (now_ns + peer.clock.used_ns - went.time_ns) / NS_PER_S
+        return self._forecast.rolling_on(went, age, STEP_S)
+
     def _rolled(self, peer: Peer, now_ns: int) -> Hand | None:
         went = peer.went
         if went is None:
@@ -58,9 +68,9 @@ class LostVehicles:
     def _is_lost(self, peer: Peer, now_ns: int, latest_ns: int) -> bool:
         """Whether it has said so, or was missed before `latest_ns`, when the last of all was heard."""
         message = peer.message
-        if message is None or peer.is_gone or peer.is_heard(now_ns):
+        if message is None or peer.is_gone or (peer.is_heard(now_ns) and not peer.is_astray):
             return False
         if self._rolled(peer, now_ns) is None:
             return False
         missed_ns = peer.direct_ns - peer.clock.used_ns + peer.lateness.forgiven_ns + UNSURE_NS
-        return not message.obeys or is_somewhere_on(message) or missed_ns < latest_ns
+        return not message.obeys or peer.is_astray or missed_ns < latest_ns

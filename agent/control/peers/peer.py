@@ -120,6 +120,11 @@ class Peer:
             self.went = None
 
     @property
+    def is_astray(self) -> bool:
+        """Whether what is known of it last is that its plant is lost, and how its body went then."""
+        return self.rolls_on and self.message is not None and is_somewhere_on(self.message)
+
+    @property
     def is_gone(self) -> bool:
         """Whether its body has been carried off since it was heard last."""
         return self.gone_ns >= self.time_ns and self.gone_ns != NEVER

@@ -31,7 +31,16 @@ from agent.control.peers.prediction import Prediction, as_it_came, coasting
 from agent.control.peers.rolling import Rolls
 from agent.control.peers.silent_rows import NEVER_CAME_NS, SilentRows
 from agent.control.peers.whereabouts import Whereabouts
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, Beacon, HandState, Removed, Rolling, Silent
+from agent.messages.types import (
+    FUTURE_NS_MAX,
+    NEIGHBOURS_MAX,
+    Beacon,
+    HandState,
+    Lost,
+    Removed,
+    Rolling,
+    Silent,
+)
 
 TRUST_LOST_S: Final = 0.5
 """Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
@@ -257,9 +266,10 @@ class Peers:
                 (said.x, said.y, said.vx, said.vy),
                 said.doubt,
                 beacon.obeys(said.robot),
+                beacon.lost_ms(said.robot),
             )
             if peer.rolls_on:
-                peer.note_way(peer.message)
+                peer.note_way(self.forecast.since_measured(peer.message))
             peer.far_until_ns = 0
             age_ns = beacon.time_ns - said.time_ns
             lately = said.following and age_ns < self._horizon_s * NS_PER_S
@@ -278,6 +288,13 @@ class Peers:
             message = self.get(said.robot).message
             if message is not None and message.obeys:
                 yield Rolling(said.robot, *message.obeys[0])
+
+    def lost_of(self, silent: Iterable[Silent]) -> Iterator[Lost]:
+        """Which of these have said that their plants are lost."""
+        for said in silent:
+            message = self.get(said.robot).message
+            if message is not None and message.lost_ms:
+                yield Lost(said.robot, message.lost_ms)
 
     def given_up(self, now_ns: int) -> tuple[int, ...]:
         """Robots from which nothing has come, now or since the start, for so long that they are given up."""
@@ -339,9 +356,10 @@ class Peers:
             place,
             beacon.doubt,
             beacon.obeys(beacon.robot),
+            beacon.lost_ms(beacon.robot),
         )
         if peer.rolls_on:
-            peer.note_way(peer.message)
+            peer.note_way(self.forecast.since_measured(peer.message))
         if peer.hand_next_ns and before is not None and since_ns <= peer.hand_next_ns:
             peer.message = self.forecast.forces_of(before, peer.message)
         peer.time_ns = time_ns
@@ -439,7 +457,7 @@ class Peers:
             peer.time_ns = time_ns
             peer.message = message
             if peer.rolls_on:
-                peer.note_way(message)
+                peer.note_way(self.forecast.since_measured(message))
             peer.belief = None
             peer.far_until_ns = 0
             peer.here = peer.token

@@ -104,6 +104,7 @@ class MavlinkPlant(PlantBackend):
         self.authority: Final = Authority()
         bounds = Bounds(section.max_speed_mps, section.max_acceleration, section.max_yaw_rate_radps)
         self._setpoint = Setpoint(body.mass_kg, body.inertia_kgm2, bounds)
+        self._asked: tuple[float, float] | None = None
         self._motion = MotionCheck()
         self._estimate = Estimate()
         self._yaw: float | None = None
@@ -329,10 +330,11 @@ class MavlinkPlant(PlantBackend):
             self._refusal = self._refusal.replace(DOES_NOT_FOLLOW, FENCED)
         self._estimate.command(now_ns, *asked, self._setpoint.vehicle)
         if not self._driving:
+            self._asked = None
             return b""
         if self._commanded_ns is not None and now_ns - self._commanded_ns < COMMAND_PERIOD_NS:
             return b""
-        self._commanded_ns = now_ns
+        self._commanded_ns, self._asked = now_ns, asked
         return self._link.setpoint(*asked)
 
     def _still_braking(self, now_ns: int) -> bool:
@@ -383,7 +385,8 @@ class MavlinkPlant(PlantBackend):
         if trouble or not self._known:
             return Reading(now_ns, pose, 0.0, 0.0, False, trouble or "no position yet", obeying)
         note = self.authority.why or (BEGUN_LATE if self._begun_late else "")
-        return Reading(now_ns, pose, self._setpoint.force, self._setpoint.torque, True, note, obeying)
+        force, torque = self._setpoint.force, self._setpoint.torque
+        return Reading(now_ns, pose, force, torque, True, note, obeying, self._asked)
 
     # ------------------------------------------------------------------ before and after
 

@@ -76,11 +76,13 @@ class Backend(PlantBackend):
         self.healthy, self.obeying, self.note = True, True, ""
         self.clearances = 0
         self.told: Sequence[Check] = ()
+        self.asked: tuple[float, float] | None = None
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
         self.calls.append(Call(now_ns, command))
         force, torque = command or (0.0, 0.0)
-        return Reading(now_ns - 7, self.pose, force, torque, self.healthy, self.note, self.obeying)
+        said = self.healthy, self.note, self.obeying, self.asked
+        return Reading(now_ns - 7, self.pose, force, torque, *said)
 
     def close(self) -> None: ...
 
@@ -175,6 +177,8 @@ def test_tells_what_its_body_told(node: PlantNode, backend: Backend):
         1, 0, T0 - 7, 1.0, 2.0, 3.0, 4.0, 5.0, 0.0, 0.0, False, False, True, "no estimate"
     )
     assert (second.sequence, second.time_ns) == (1, T0 + PERIOD - 7)
+    backend.asked = 0.5, -0.25
+    assert state(node, T0 + 2 * PERIOD).asked == ((0.5, -0.25),)
 
 
 def test_watchdog_brakes_when_the_wrench_is_stale_and_drives_when_a_fresh_one_comes(

@@ -256,6 +256,8 @@ def _nothing() -> None:
         (_said(note=5), "whose note is 5, not a text$"),
         (_said(obeying="no"), 'whose obeying is "no", not True or False$'),
         (_said(healthy=1), "whose healthy is 1, not True or False$"),
+        (_said(asked=0.5), "whose asked is 0.5, not None, nor a tuple of a speed and a yaw rate$"),
+        (_said(asked=(0.5, nan)), r"whose asked\[1\] is nan, not a finite number$"),
     ],
 )
 def test_a_step_that_fails(step: Callable[..., Any], says: str) -> None:
@@ -288,6 +290,15 @@ def test_what_is_said_of_a_reading_is_such_that_a_message_holds_it() -> None:
     reading = made.step(0, DRIVE)
     assert (reading.healthy, reading.note, reading.obeying) == (False, "no fix \\udcff\\n", True)
     assert type(reading.healthy) is bool
+    assert reading.asked is None
+    assert said == []
+
+
+def test_what_a_body_was_asked_for_last_is_passed_on_as_plain_numbers() -> None:
+    made, said = body(_said(asked=(np.float64(0.5), -1)))
+    asked = made.step(0, DRIVE).asked
+    assert asked == (0.5, -1.0)
+    assert list(map(type, asked)) == [float, float]
     assert said == []
 
 

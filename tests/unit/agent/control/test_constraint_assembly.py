@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from math import hypot, pi
+from math import cos, hypot, pi, sin
 from typing import Any
 
 import pytest
 
 from agent.control.constraint_assembly import STOP_S, ConstraintAssembly, Scene
 from agent.control.controller import Controller
-from agent.control.hand import Hand
+from agent.control.hand import Hand, Pose
 from agent.control.peers.beliefs import DOUBT_MAX, stood_on
 from agent.control.peers.lanes import Run
-from agent.control.peers.rolling import rolled
+from agent.control.peers.rolling import STOPS_S, Rolls, arc, middle, rolled
 from agent.control.safety_distances import barrier_rate
 from agent.control.safety_filter import SEPARATION, STANDING, UNSURE, HalfPlane, project
 from agent.fleet.loading import parse_fleet
@@ -53,7 +53,7 @@ class Robot:
         state = HandState(3, 0, T0, follows, 2, 0.1 + away, 0.0, -coming, *[0.0] * 7, doubt, (), ())
         assert self.peers.accept(state, T0 + fleet.period_ns) is None
         self.peers.get(3).deaf = deaf
-        self.assembly = ConstraintAssembly(fleet, self.peers, self.proximity, self.controller.right_of_way)
+        self.assembly = ConstraintAssembly(fleet, 1, self.peers, self.proximity, self.controller.right_of_way)
 
     def scene(self, now_ns: int, speed: float = 0.0) -> Scene:
         """What it has to keep while it drives along the x axis."""
@@ -130,11 +130,65 @@ def test_from_one_that_is_known_to_be_lost_it_gets_away_as_from_what_is_known_an
     peer.note_way(peer.message)
     later = HandState.placed(2, 1, T0 + S, True, 1, (5.0, 5.0, 0.0, 0.0))
     assert robot.peers.accept(later, T0 + S + S // 10) is None
-    planes = [each for each in robot.scene(T0 + round(1.3 * S)).planes if each.cause == "robot 3"]
+    planes = [each for each in robot.scene(T0 + round(1.45 * S)).planes if each.cause == "robot 3"]
     ahead, beside = (each for each in planes if each.least > 0.0)
     assert ahead.rank == beside.rank == SEPARATION
     assert ahead.nx < -0.8, "from where it is now"
     assert beside.ny < min(-0.7, ahead.ny - 0.2), "rather off its way"
+
+
+HERE = Pose(-0.3, 0.0, 0.0, 0.0, 0.0)
+"""The own body: it stands, and its hand is in (0.1, 0)."""
+
+
+def lost_ahead(robot: Robot, *, silent: bool) -> None:
+    """Robot 3 rolls at robot 1, as nothing commands it: it fell silent alone, or its agent says so."""
+    peer = robot.peers.get(3)
+    assert peer.message is not None
+    peer.message = peer.message._replace(obeys=((pi, 0.9, 0.0),))
+    peer.note_way(peer.message)
+    if silent:
+        later = HandState.placed(2, 1, T0 + S, True, 1, (5.0, 5.0, 0.0, 0.0))
+        assert robot.peers.accept(later, T0 + S + S // 10) is None
+        return
+    way = arc(peer.message.x, peer.message.y, (pi, 0.9, 0.0), Rolls(3.0 + STOPS_S, 0.1))
+    place, obeys = (*middle(way), 0.0, 0.0), ((pi, 0.9, 0.0),)
+    said = HandState.placed(3, 20, T0 + S, False, 0, place, 1.8, obeys, 1000)
+    assert robot.peers.accept(said, T0 + S + S // 10) is None
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_it_gets_out_of_the_way_of_one_that_rolls_at_it_faster_than_it_could_go_back(silent: bool) -> None:
+    robot = Robot(3.0, coming=0.9, text=ROVERS)
+    lost_ahead(robot, silent=silent)
+    scene = robot.scene(T0 + round(1.3 * S))
+    asked = robot.assembly.dodge(scene, HERE)
+    assert asked is not None
+    assert asked[1] != 0.0 or asked[0] < 0.0
+    assert not [plane for plane in scene.planes if plane.cause == "robot 3"], (
+        "else it would be held in front of it"
+    )
+
+
+def test_where_something_else_is_in_its_way_it_keeps_from_both() -> None:
+    robot = Robot(3.0, coming=0.9, text=ROVERS)
+    lost_ahead(robot, silent=True)
+    scene = robot.scene(T0 + round(1.3 * S))
+    before = list(scene.planes)
+    scene.planes.extend(HalfPlane(cos(k), sin(k), -0.1, "wall") for k in range(7))
+    assert robot.assembly.dodge(scene, HERE) is None
+    assert scene.planes[: len(before)] == before
+
+
+def test_one_that_is_told_to_roll_elsewhere_is_no_reason_to_move() -> None:
+    robot = Robot(3.0, coming=-0.9, text=ROVERS)
+    peer = robot.peers.get(3)
+    assert peer.message is not None
+    peer.message = peer.message._replace(obeys=((0.0, 0.9, 0.0),))
+    peer.note_way(peer.message)
+    later = HandState.placed(2, 1, T0 + S, True, 1, (5.0, 5.0, 0.0, 0.0))
+    assert robot.peers.accept(later, T0 + S + S // 10) is None
+    assert robot.assembly.dodge(robot.scene(T0 + round(1.3 * S)), HERE) is None
 
 
 @pytest.mark.parametrize(("text", "seen"), [(FLEET, False), (ROVERS, True)])

@@ -10,7 +10,14 @@ from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.own_hand import LAST_PLACE_NS, OwnHand
 from agent.control.peers.prediction import BRAKING_TIME_S
-from agent.control.peers.rolling import ROLL_ERROR, SPEED_LEADS_S, TURN_LEADS_S, Rolls
+from agent.control.peers.rolling import (
+    ROLL_ERROR,
+    SPEED_LAGS,
+    SPEED_LEADS_S,
+    TURN_LEADS_S,
+    TURN_SHARE,
+    Rolls,
+)
 from agent.formation.geometry import resolve
 from agent.messages.types import PlantState
 from tests.unit.agent.agent_bench import START, fleet
@@ -83,11 +90,23 @@ def test_of_a_body_that_rolls_on_all_of_its_way_is_told_at_once_for_as_long_as_i
         assert own.shown.x + own.doubt == pytest.approx(REACH + SPEED * ROLLS_S + ROLL_ERROR)
         assert (own.shown.vx, own.shown.vy) == (0.0, 0.0)
         assert own.obeys == ((0.0, SPEED, 0.0),), "so others know which way it is that this circle is round"
+        assert own.lost_ms == later_ns // 1_000_000, "and where on it the body is by now"
         told.append((own.shown, own.doubt))
     assert told == told[:1] * 4
     own.lost(START + rolls_ns + LAST_PLACE_NS + 1)
     assert own.shown is None
     assert own.obeys == ()
+    assert own.lost_ms == 0
+    own.lost(START + NS_PER_S)
+    own.measured(START + NS_PER_S, plant())
+    assert own.lost_ms == 0
+
+
+def test_it_goes_by_what_its_plant_says_that_it_was_asked_for():
+    """Not by how it goes: it may have been told to stop, or to go on, a moment before."""
+    own = rolling()
+    own.measured(START, plant()._replace(asked=((0.0, 0.4),)))
+    assert own.obeys == ((0.0, pytest.approx(SPEED_LAGS * SPEED), pytest.approx(TURN_SHARE * 0.4)),)
 
 
 def test_a_body_that_stands_does_not_roll():

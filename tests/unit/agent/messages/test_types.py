@@ -102,7 +102,7 @@ MESSAGES = [
     HAND, PLANT, WRENCH, MISSION, STOP, STATUS, FAULTS, TRACE, EVENT, RESUME, CHECKS, BEACON, HEARTBEAT, ASK,
     TEXT,
 ]  # fmt: skip
-LEFT_OUT = {HandState: 4, Wrench: 2, Status: 1, Beacon: 4}
+LEFT_OUT = {HandState: 5, PlantState: 1, Wrench: 2, Status: 1, Beacon: 5}
 NUMBER = {type(message): number for number, message in enumerate(MESSAGES)}
 
 
@@ -152,6 +152,9 @@ def test_of_fields_that_may_be_left_out_those_go_before_one_that_is_not():
         BEACON._replace(stood_ms=60_000),
         HAND._replace(obeys=((0.5, -0.25, 1.5),)),
         BEACON._replace(rolling=((3, 0.5, 0.25, -1.0), (9999, 6.0, -0.5, 0.0))),
+        HAND._replace(obeys=((0.5, -0.25, 1.5),), lost_ms=60_000),
+        BEACON._replace(rolling=((3, 0.5, 0.25, -1.0),), lost=((3, 520), (9999, 60_000))),
+        PLANT._replace(asked=((-0.25, 1.5),)),
     ):
         assert decode(encode(told)) == told
     sent = [len(encode(message)) for message in (HAND, HAND._replace(own=(1.5,)), HAND._replace(next_ms=1))]

@@ -73,6 +73,27 @@ def test_both_say_what_a_body_goes_on_by_that_nothing_commands_any_more():
         assert isinstance(beacon, Beacon)
         assert beacon.obeys(1) == obeys
         assert beacon.obeys(2) == ()
+        assert beacon.lost == ()
+
+
+def test_both_say_for_how_long_a_body_has_been_lost():
+    obeys = (Setpoint(0.5, 0.8, -0.25),)
+    box = outbox()
+    [(_, payload)] = box.hand(TICK, HERE, 1.7, following=False, obeys=obeys, lost_ms=520)
+    hand = decode(payload)
+    assert isinstance(hand, HandState)
+    assert hand.lost_ms == 520
+    said = [
+        decode(payload)
+        for rounds in range(20)
+        for _, payload in box.beacon(
+            TICK + rounds * PERIOD, HERE, 1.7, following=False, obeys=obeys, lost_ms=520
+        )
+    ]
+    assert said
+    for beacon in said:
+        assert isinstance(beacon, Beacon)
+        assert (beacon.lost_ms(1), beacon.lost_ms(2)) == (520, 0)
 
 
 def test_a_wrench_brakes_or_asks():

@@ -44,8 +44,9 @@ def test_the_bundled_fleet_is_sound() -> None:
 
 def test_how_far_one_rolls_that_nothing_commands_is_said_where_others_are_nearer() -> None:
     (rolls,) = of_vehicles(rovers())
-    assert "goes on for 3 s by itself, up to 3.1 m at 0.9 m/s" in rolls.message
-    assert "nearer than 4.2 m may not get out of it in time, and edges are 3 m" in rolls.message
+    assert "goes on for 3 s by itself, up to 3.3 m at 0.9 m/s" in rolls.message
+    said = "nearer than 5.3 m, and drives at it as fast, may not get out of it in time, and edges are 3 m"
+    assert said in rolls.message
     assert found("control.max_speed_mps=0.5", "formation.safe_distance_m=1.0") == {}
     fleet = rovers()
     by_offsets = replace(fleet, formation=replace(fleet.formation, distance_m=None))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from agent.control.peers.peers import Peers
-from agent.control.peers.rolling import Rolls
-from agent.messages.types import HandState
+from agent.control.peers.rolling import Rolls, arc, middle
+from agent.messages.types import HandState, Silent
 from tests.unit.agent.control.peers.neighbours import PERIOD, T0, S, heard, message, peers
 
 ROLLS = Rolls(3.5, 0.4)
@@ -92,3 +92,41 @@ def test_nobody_rolls_whose_body_stops_by_itself():
     known = peers(rolls_on={5: ROLLS, 9: ROLLS})
     heard(known, moving(2, 0))
     assert rolling(known, 61) == set()
+
+
+def told_lost(at: int, since: int) -> HandState:
+    """Robot 2's agent says at the tick `at` that its body was measured last at the tick `since`, in (3, 1):
+    from there it rolls along x."""
+    way = arc(3.0, 1.0, (0.0, 1.0, 0.0), ROLLS)
+    lost_ms = (at - since) * PERIOD // (S // 1000)
+    place = (*middle(way), 0.0, 0.0)
+    return HandState.placed(2, at, T0 + at * PERIOD, False, 0, place, 2.0, ((0.0, 1.0, 0.0),), lost_ms)
+
+
+def test_of_one_whose_agent_says_that_its_plant_is_lost_it_is_known_where_it_is() -> None:
+    """Though the others, and itself, are heard; and though nobody here had heard how it went before."""
+    known = last_heard(r5=60, r9=60)
+    assert rolling(known, 60) == set()
+    heard(known, told_lost(60, 40), now_ns=T0 + 61 * PERIOD)
+    assert rolling(known, 61) == sure(known, 61) == {2}
+    peer = known.get(2)
+    there = known.lost.hand(peer, T0 + 61 * PERIOD)
+    gone_s = 21 * PERIOD / S
+    assert there is not None
+    assert there == pytest.approx((3.0 + gone_s, 1.0, 1.0, 0.0), abs=2e-3)
+    way = known.lost.way(peer, T0 + 61 * PERIOD)
+    assert way[0] == pytest.approx(there[:2])
+    assert way[10] == pytest.approx((4.0 + gone_s, 1.0), abs=2e-3)
+    assert way[-1] == pytest.approx((3.0 + ROLLS.for_s, 1.0))
+    rests_ns = T0 + 40 * PERIOD + round(ROLLS.for_s * S)
+    assert known.lost.way(peer, rests_ns + PERIOD) == []
+    assert 2 not in rolling(known, 40 + round(ROLLS.for_s * S) // PERIOD + 2)
+
+
+def test_it_is_told_to_those_who_did_not_hear_it() -> None:
+    known = last_heard(r5=60, r9=60)
+    heard(known, told_lost(60, 40), now_ns=T0 + 61 * PERIOD)
+    row = Silent(2, T0 + 60 * PERIOD, False, 4.75, 1.0, 0.0, 0.0, 4.75, 1.0, 2.0)
+    assert list(known.rolling([row])) == [(2, 0.0, 1.0, 0.0)]
+    assert list(known.lost_of([row])) == [(2, 20 * PERIOD // (S // 1000))]
+    assert list(known.lost_of([row._replace(robot=5)])) == []

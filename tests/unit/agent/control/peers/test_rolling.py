@@ -11,16 +11,22 @@ from hypothesis import strategies as st
 
 from agent.control.hand import Pose, advance, hand
 from agent.control.peers.rolling import (
+    SPEED_LAGS,
     SPEED_LEADS_S,
+    STOPS_S,
     TURN_LEADS_S,
+    TURN_SHARE,
     Rolls,
     arc,
     arc_of,
+    asked,
+    begin_of,
     is_somewhere_on,
     middle,
     moves,
     rolled,
     rolls_of,
+    room_to_know,
     setpoint,
 )
 from agent.fleet.loading import parse_fleet
@@ -110,9 +116,30 @@ def test_others_say_where_they_are(other: dict[str, Any]) -> None:
 def test_only_vehicles_roll_on():
     fleet = parse_fleet(FLEET, source="here")
     assert rolls_of(fleet.robot(1)) is None
-    assert rolls_of(fleet.robot(2)) == Rolls(3.5, 0.4)
+    assert rolls_of(fleet.robot(2)) == Rolls(3.0 + STOPS_S, 0.4)
 
 
 def test_a_body_moves_that_is_faster_than_its_estimate_is_wrong():
     assert not moves(0.03, -0.04)
     assert moves(0.0, -0.1)
+
+
+def test_it_goes_by_what_it_was_asked_for_once_it_has_taken_that_up() -> None:
+    assert asked(-0.5, 0.3, 0.3, 0.0) == (pytest.approx(tau - 0.5), 0.3, 0.0)
+    _, speed, yaw_rate = asked(0.0, 0.2, 0.8, -0.4)
+    assert (speed, yaw_rate) == pytest.approx((0.8 - SPEED_LAGS * 0.6, TURN_SHARE * -0.4))
+
+
+def test_the_circle_round_its_way_tells_where_that_began() -> None:
+    way = arc(1.0, 2.0, (0.5, 0.8, -0.3), ROLLS)
+    said = HandState.placed(2, 0, 0, False, 0, (*middle(way), 0.0, 0.0), 1.7, ((0.5, 0.8, -0.3),), 520)
+    assert is_somewhere_on(said)
+    assert begin_of(said, ROLLS) == pytest.approx((1.0, 2.0))
+
+
+def test_who_hears_of_it_from_so_far_away_stands_before_it_comes() -> None:
+    """Both drive at each other: it rolls for all its time, the other one until it knows, and brakes."""
+    rolls, speed, timeout, hardest, keep = 3.0, 0.9, 0.5, 0.8, 1.0
+    apart = room_to_know(rolls, speed, timeout, hardest, keep)
+    left = apart - speed * (rolls + STOPS_S) - speed * timeout - speed * speed / hardest / 2
+    assert left == pytest.approx(keep)

@@ -41,6 +41,23 @@ def test_trouble_with_the_connection_comes_first() -> None:
     assert scene.bridge.reading.note == refused
 
 
+def test_it_says_what_its_vehicle_goes_on_by_when_it_is_gone() -> None:
+    """What it asked for last: a speed that is more than the vehicle has by now; then to stand."""
+    scene = Scene()
+    scene.drive(0.1)
+    scene.bridge.command = GO
+    scene.tick()
+    reading = scene.bridge.reading
+    assert reading.asked is not None
+    assert reading.asked[0] > reading.pose.speed + 0.04
+    scene.bridge.command = None
+    scene.tick()
+    assert scene.bridge.reading.asked == (0.0, 0.0)
+    scene.rover.set_mode("MANUAL")
+    scene.run(0.2)
+    assert scene.bridge.reading.asked is None
+
+
 def test_while_it_drives_the_agent_is_told_of_the_reference_else_of_what_is_measured() -> None:
     """Force and torque are those that act on the reference, so that a law that integrates them is right."""
     scene = Scene()
