@@ -90,7 +90,7 @@ def test_how_a_scenario_ended(duration_s: int, more: str, ended: str) -> None:
 
 
 def test_the_same_scenario_ends_the_same() -> None:
-    text = scenario_text(draw(57))
+    text = scenario_text(draw(53))
     first, again = drive(text), drive(text)
     assert first.driven_s > 20.0
     assert (first.violations, first.states, first.transitions, first.limits) == (

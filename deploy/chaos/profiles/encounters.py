@@ -28,12 +28,13 @@ GAIN: Final = 0.6
 
 
 class Encounter(NamedTuple):
-    """`rolls` dies at `at_s` and rolls at `other`, which is cut off at `cut_s`."""
+    """`rolls` dies at `at_s` and rolls at `other`, `apart_m` away then, which may be cut off at `cut_s`."""
 
     rolls: int
     other: int
     at_s: float
     cut_s: float
+    apart_m: float
 
 
 def encounters(starts: Mapping[int, Vector], places: Mapping[int, Vector], speed: float) -> list[Encounter]:
@@ -49,7 +50,7 @@ def encounters(starts: Mapping[int, Vector], places: Mapping[int, Vector], speed
                 rolled = ((x + k * (x1 - x), y + k * (y1 - y)) for k in ROLLS)
                 if dist((x, y), stands) > MEETS_M and any(dist(each, stands) < MEETS_M for each in rolled):
                     times = round(at * STEP_S, 1), round((at + later) * STEP_S, 1)
-                    found.append(Encounter(rolls, other, *times))
+                    found.append(Encounter(rolls, other, *times, dist((x, y), ways[other][at])))
     return found
 
 

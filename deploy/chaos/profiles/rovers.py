@@ -7,8 +7,11 @@ their ways cross and they turn hard; some are told to go on later, as an operato
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
+from agent.common.quantities import Vector
+from agent.control.peers.rolling import room_to_know
 from agent.fleet.plants import KINDS
 from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.draw_formation import draw_lattice
@@ -48,6 +51,15 @@ MISSED_S: Final = (2.0, 6.0)
 """...for so long: it has it from others where that one may be..."""
 MISSED_QUIET_S: Final = 12.0
 """...and comes past there later."""
+HEAD_ON: Final = 0.4
+"""Share of the others in which one dies that rolls at another, who hears it..."""
+STARTS: Final = 8
+"""...as far as one of so many draws of where they start has that..."""
+FROM: Final = 0.85
+"""...from so large a share at least of where it could just stop before it comes: it has to get out of its
+way, and can."""
+ACCELERATION: Final = 0.8
+TIMEOUT_S: Final = 0.5
 STOPPED: Final = 0.5
 ROLLED_S: Final = 4.5
 """Share of those in which an operator stops all before, so long at least after the last that happens: whom
@@ -74,14 +86,21 @@ def draw_rovers(seed: int) -> Tables:
     rules = [_rule(dice, 1, first, dice.between(*DIES_S, 2))]
     if dice.chance(SECOND) and len(ids) >= SECOND_OF:
         rules.append(_rule(dice, 2, second, round(rules[0]["at"] + dice.between(0.0, 3.0), 2)))
-    hands = pieces.scattered(aimed, shape.offsets, SCATTER_M, APART_M) if cuts else {}
+    hands: Mapping[int, Vector] = {}
+    met: list[Encounter] = []
+    for _ in range(1 if cuts else STARTS if aimed.chance(HEAD_ON) else 0):
+        hands = pieces.scattered(aimed, shape.offsets, SCATTER_M, APART_M)
+        if met := _met(hands, shape.offsets, speed, cuts=cuts):
+            break
     missed = cuts and aimed.chance(MISSED)
     if missed:
         rules = _missed(aimed, *aimed.some(ids, 2))
-    elif met := encounters(hands, shape.offsets, speed):
-        rules = _aimed(aimed, aimed.pick(met))
-    last_s = max(rule["at"] + rule.get("for", 0.0) for rule in rules)
     orders: list[Tables] = []
+    if met and not missed:
+        rules = _aimed(aimed, aimed.pick(met), cuts=cuts)
+        if not cuts and aimed.chance(STOPPED):
+            orders = _stopped_before(aimed, rules[0])
+    last_s = max(rule["at"] + rule.get("for", 0.0) for rule in rules)
     if dice.chance(ORDERED):
         last_s = round(last_s + dice.between(*ORDERED_S), 2)
         rolled_s = max(rule["at"] for rule in rules) + ROLLED_S
@@ -90,12 +109,12 @@ def draw_rovers(seed: int) -> Tables:
         orders.append({"at": last_s, "kind": "resume"})
     control: Tables = {
         "kp": 1.0, "c1": 0.6, "c2": 1.0, "kd": 1.8, "k2": 5.0,
-        "max_speed_mps": speed, "max_acceleration": 0.8,
-        "plant_timeout_s": 0.5, "wrench_timeout_s": 0.25,
+        "max_speed_mps": speed, "max_acceleration": ACCELERATION,
+        "plant_timeout_s": TIMEOUT_S, "wrench_timeout_s": 0.25,
     }  # fmt: skip
     vehicle = {
         "connection": "simulator",
-        "max_speed_mps": speed, "max_acceleration": 0.8, "max_yaw_rate_radps": 1.0,
+        "max_speed_mps": speed, "max_acceleration": ACCELERATION, "max_yaw_rate_radps": 1.0,
     }  # fmt: skip
     hands = hands or pieces.scattered(dice, shape.offsets, SCATTER_M, APART_M)
     body = {"mass_kg": 20.0, "inertia_kgm2": 1.2, "hand_offset_m": REACH_M}
@@ -128,12 +147,34 @@ def _rule(dice: Dice, number: int, robot: int, at: float) -> Tables:
     return rule | {what: role, "for": down_s}
 
 
-def _aimed(dice: Dice, met: Encounter) -> list[Tables]:
-    """One that rolls at another, which is cut off."""
+def _met(
+    hands: Mapping[int, Vector], places: Mapping[int, Vector], speed: float, *, cuts: bool
+) -> list[Encounter]:
+    """Who meets whom; of those that hear each other, from far enough away."""
+    met = encounters(hands, places, speed)
+    if cuts:
+        return met
+    room = FROM * room_to_know(KINDS[_KIND].rolls_on_s, speed, TIMEOUT_S, ACCELERATION, SAFE_M)
+    return [each for each in met if each.apart_m > room]
+
+
+def _aimed(dice: Dice, met: Encounter, *, cuts: bool) -> list[Tables]:
+    """One that rolls at another, which is cut off, or is not."""
     kill = {"robot": met.rolls, "kill": dice.pick(("plant", "both")), "at": met.at_s}
     lasts = {"for": dice.between(*DOWN_S, 2)} if dice.chance(0.7) else {}
-    cut = _cut_off("links of whom it meets", met.other, met.cut_s, dice.between(*CUT_OFF_S, 2))
-    return [{"name": "rolls", **kill, **lasts}, cut]
+    rolls = {"name": "rolls", **kill, **lasts}
+    if not cuts:
+        return [rolls]
+    return [rolls, _cut_off("links of whom it meets", met.other, met.cut_s, dice.between(*CUT_OFF_S, 2))]
+
+
+def _stopped_before(dice: Dice, rolls: Tables) -> list[Tables]:
+    """A stop and a resume after which it takes up its speed again, when it dies: by how it goes then nobody
+    could tell how fast it will be."""
+    stop_s = round(max(0.1, rolls["at"] - dice.between(0.2, 0.6)), 2)
+    resume_s = round(stop_s + dice.between(0.2, 0.6), 2)
+    rolls["at"] = round(resume_s + dice.between(0.3, 1.0), 2)
+    return [{"at": stop_s, "kind": "stop"}, {"at": resume_s, "kind": "resume"}]
 
 
 def _missed(dice: Dice, one: int, other: int) -> list[Tables]:

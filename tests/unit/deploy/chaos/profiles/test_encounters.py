@@ -13,6 +13,7 @@ def test_one_that_drives_at_another_rolls_at_it_once_it_is_near_enough():
     for each in found:
         assert 0.0 < each.cut_s - each.at_s < 1.2
         assert 1.4 < each.at_s < 5.1, "a second's way before it, and no more than it rolls"
+        assert 1.0 < each.apart_m < 4.6
 
 
 def test_nobody_is_met_whose_way_nobody_crosses():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+from deploy.chaos.dice import Tables
 from deploy.chaos.profiles.rovers import (
     APART_M,
     DOWN_S,
@@ -42,13 +43,26 @@ def test_of_two_to_whom_something_happens_neither_is_the_other() -> None:
         assert len({int(robot) for robot in robots}) == 2
 
 
+def test_some_roll_at_one_that_hears_them_from_far_enough_away() -> None:
+    alone = [rules for seed in SEEDS if len(rules := draw_rovers(seed)["faults"]["rule"]) == 1]
+    aimed = [rule for (rule,) in alone if rule["name"] == "rolls" and "kill" in rule]
+    assert len(aimed) > 4
+    assert len(aimed) < len(alone)
+    assert any(tables["order"][1]["at"] < tables["faults"]["rule"][0]["at"] for tables in ordered_twice())
+
+
+def ordered_twice() -> list[Tables]:
+    return [tables for seed in SEEDS if len((tables := draw_rovers(seed)).get("order", ())) > 1]
+
+
 def test_an_operator_tells_them_to_go_on_once_all_are_back() -> None:
     ordered = stopped = 0
     for seed in SEEDS:
         tables = draw_rovers(seed)
         back_s = max(rule["at"] + rule.get("for", 0.0) for rule in tables["faults"]["rule"])
         left_s = tables["fleet"]["duration_s"] - back_s
-        *stops, resume = tables.get("order", ()) or [None]
+        dies_s = min(rule["at"] for rule in tables["faults"]["rule"])
+        *stops, resume = [each for each in tables.get("order", ()) if each["at"] > dies_s] or [None]
         for stop in stops:
             assert stop["kind"] == "stop"
             assert stop["at"] < resume["at"]
