@@ -463,10 +463,12 @@ def _stationary(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _what_follows(fleet: Fleet, rule: Rule) -> str:
     """What becomes of a drive of which a robot's process is killed for good."""
-    if rule.kill != "agent":
+    if rule.kill == "plant":
         return "its place is not known, and the verdict fails unless another robot takes its place"
     if fleet.supervision.silence == "hold":
         return "its neighbours hold (brake), and the verdict fails"
+    if rule.kill == "both":
+        return "its place is not known, of which the verdict warns, and the others go on without it"
     return "it stands where it braked, and the others go on without it"
 
 

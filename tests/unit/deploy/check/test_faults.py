@@ -279,6 +279,8 @@ def test_processes_that_do_not_come_back() -> None:
     assert "the others go on without it" in killed.message
     plant = one(rule("robot = 3", 'kill = "plant"', "at = 20"))
     assert "the verdict fails unless another robot takes its place" in plant.message
+    both = one(rule("robot = 3", 'kill = "both"', "at = 20"))
+    assert "the verdict warns, and the others go on without it" in both.message
     assert found(rule("robot = 3", 'kill = "agent"', "at = 20", "for = 1")) == []
     paused = one(rule("robot = 3", 'pause = "plant"', "at = 29", "for = 2"))
     assert paused.place == "faults.rule[1].pause"
