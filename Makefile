@@ -28,7 +28,7 @@ QUICK := not process and not slow and not autopilot and not compiled
 REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
 # What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
-DRIVES := in_simulate or in_run or mid_drive or supervision
+DRIVES := slip or in_run or mid_drive or supervision
 # Of the tests that start processes those of one module share what it has set up. All of tests/hosts
 # are one worker's, which has them as long as another has the rest: a third would only make both late.
 WAITING := -n 2 --dist loadfile --no-loadscope-reorder

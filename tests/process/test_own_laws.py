@@ -108,8 +108,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
     return list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
 
 
-@pytest.mark.parametrize("loss", ["0%", "30%"])
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("law", "loss"), list(zip(LAWS, ["0%", "30%"], strict=True)))
 def test_in_simulate_they_form_up_and_keep_their_distances(law: str, loss: str, tmp_path: Path) -> None:
     handfast(tmp_path, f"simulate delta --law {law} --no-report --set faults.loss={loss} --out out")
     found = metrics(tmp_path / "out")
