@@ -66,6 +66,9 @@ class ConstraintAssembly:
 
     Args:
         peers, proximity, right_of_way: of that robot.
+
+    Attributes:
+        evades: whose way it gets out of, in words; "" when nobody's.
     """
 
     def __init__(
@@ -80,6 +83,7 @@ class ConstraintAssembly:
         turns = min(body.yaw_rate_max, dodging.TURN_MAX)
         self._ability = dodging.Ability(self._acceleration_max, speed_max(fleet), turns, body.hand_offset_m)
         self._rolling: dict[Peer, float] = {}
+        self.evades = ""
         self._move = dodging.STAND
         self._is_own_law = fleet.control.law is not None
 
@@ -124,15 +128,17 @@ class ConstraintAssembly:
         """
         lost = self._rolling
         if not lost:
-            self._move = dodging.STAND
+            self._move, self.evades = dodging.STAND, ""
             return None
         self._rolling = {}
         ways = [(self._peers.lost.way(peer, scene.now_ns), gap) for peer, gap in lost.items()]
         self._move = dodging.out_of_the_way(body, ways, self._ability, self._move)
         if self._move == dodging.STAND:
+            self.evades = ""
             return None
-        ux, uy = dodging.acceleration(body, self._move, self._ability)
         names = {peer.name for peer in lost}
+        self.evades = f"gets out of the way of {' and '.join(sorted(names))}, which nothing commands"
+        ux, uy = dodging.acceleration(body, self._move, self._ability)
         others = [plane for plane in scene.planes if plane.cause not in names]
         if any(
             MOST_OF * (plane.nx * ux + plane.ny * uy) < plane.least

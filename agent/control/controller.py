@@ -175,6 +175,11 @@ class Controller:
         self._due_ns = 0
         self.rests = True
 
+    @property
+    def evades(self) -> str:
+        """Whose way it gets out of, in words; "" when nobody's."""
+        return self._assembly.evades
+
     def plan(self, plan: Plan) -> None:
         """Takes what the fleet is to do."""
         self.reference.take(plan)
@@ -413,6 +418,8 @@ class Controller:
             return ""
         keep = self._safe_distance + self._margin
         for peer in self._about():
+            if self.peers.lost.may_roll(peer, now_ns):
+                continue  # where it rests is not there yet
             if peer.is_heard(now_ns):
                 message = peer.message
                 room = keep + peer.doubt(now_ns)

@@ -133,7 +133,7 @@ class NeighbourTrust:
             self.degraded = f"without {', '.join(given_up)}"
         elif slow:
             self.degraded = f"slower: {', '.join(slow)}"
-        held = controller.taken or controller.detour.held
+        held = controller.evades or controller.taken or controller.detour.held
         if drives and held:
             self.degraded = "; ".join(filter(None, (self.degraded, held)))
         if self._overload.stands:

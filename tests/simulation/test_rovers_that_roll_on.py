@@ -21,6 +21,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.chaos.run import drive
 from deploy.console.data_files import FLEETS
+from deploy.simulate.judged import drive as simulate
 from deploy.simulate.simulation import Simulation
 from plant.backend import VirtualBody
 from tests.rover_drive import driven
@@ -150,6 +151,17 @@ def test_one_that_holds_because_it_hears_nobody_gets_out_of_the_way(at: float) -
     rule = f'[[faults.rule]]\nrobot = 1\nkill = "both"\nat = {at}\nfor = 6\n'
     fleet = resolved(parse_fleet(f"{TWO}\n{rule}", source="here"))
     assert driven(fleet).pairs.min() >= fleet.formation.safe_distance_m
+
+
+@pytest.mark.slow
+def test_it_says_whose_way_it_gets_out_of() -> None:
+    rule = '[[faults.rule]]\nrobot = 1\nkill = "plant"\nat = 2.2\n'
+    recording = simulate(resolved(parse_fleet(f"{TWO}\n{rule}", source="here")))
+    status = recording.robots[2].status
+    says = "gets out of the way of robot 1, which nothing commands"
+    told = [t_s for t_s, reason in zip(status.t.tolist(), status.reasons, strict=True) if says in reason]
+    assert 2.7 < told[0] < 3.1, "once its plant is missed"
+    assert told[-1] < 6.0, "no longer than that rolls"
 
 
 @pytest.mark.slow

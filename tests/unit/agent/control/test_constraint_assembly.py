@@ -165,6 +165,7 @@ def test_it_gets_out_of_the_way_of_one_that_rolls_at_it_faster_than_it_could_go_
     asked = robot.assembly.dodge(scene, HERE)
     assert asked is not None
     assert asked[1] != 0.0 or asked[0] < 0.0
+    assert robot.assembly.evades == "gets out of the way of robot 3, which nothing commands"
     assert not [plane for plane in scene.planes if plane.cause == "robot 3"], (
         "else it would be held in front of it"
     )
@@ -189,6 +190,7 @@ def test_one_that_is_told_to_roll_elsewhere_is_no_reason_to_move() -> None:
     later = HandState.placed(2, 1, T0 + S, True, 1, (5.0, 5.0, 0.0, 0.0))
     assert robot.peers.accept(later, T0 + S + S // 10) is None
     assert robot.assembly.dodge(robot.scene(T0 + round(1.3 * S)), HERE) is None
+    assert robot.assembly.evades == ""
 
 
 @pytest.mark.parametrize(("text", "seen"), [(FLEET, False), (ROVERS, True)])
