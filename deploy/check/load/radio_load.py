@@ -188,10 +188,10 @@ def _streams(
         up += [
             Stream(rate, 1, _size(_wrench(robot)), 1),
             Stream(status_hz(len(fleet.robots)), 1, status, 1),
-            Stream(rate, 1, _size(_plant_state(robot))),  # from another process
+            Stream(rate, 1, _size(_plant_state(fleet, robot))),  # from another process
         ]
         if _tells_truth(fleet, robot):
-            up.append(Stream(rate, 1, _size(_plant_state(robot)), 1))
+            up.append(Stream(rate, 1, _size(_plant_state(fleet, robot)), 1))
     down = [Stream(rate, 1, hands[other]) for other in sorted(near)]
     down.append(Stream(beacons_hz, others, beacon, len(near)))
     return up, down
@@ -228,8 +228,9 @@ def _wrench(robot: int) -> Wrench:
     return Wrench(robot, _ROUND, _NOW_NS, 0.1, 0.1, False, (_NOW_NS, _NOW_NS))
 
 
-def _plant_state(robot: int) -> PlantState:
-    return PlantState(robot, _ROUND, _NOW_NS, *(0.1,) * 7, True, True, True, "")
+def _plant_state(fleet: Fleet, robot: int) -> PlantState:
+    asked = ((0.1, 0.1),) if fleet.robot(robot).kind.rolls_on_s else ()
+    return PlantState(robot, _ROUND, _NOW_NS, *(0.1,) * 7, True, True, True, "", asked)
 
 
 def _status_bytes(fleet: Fleet, robot: int, joined: Set[int]) -> int:

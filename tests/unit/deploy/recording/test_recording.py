@@ -169,6 +169,7 @@ def test_every_column_holds_what_was_sent() -> None:
         "t": 2.0, "following": 1.0, "degree": 3.0, "x": 6.0, "y": 7.0, "vx": 8.0, "vy": 9.0,
         "navigation_x": 0.1, "navigation_y": 0.2, "constraint_x": 0.3, "constraint_y": 0.4,
         "correction_x": 0.5, "correction_y": 0.6, "doubt": 0.7, "next_ms": 0.0, "stood_ms": 0.0,
+            "lost_ms": 0.0,
     }  # fmt: skip
     assert row(robot.wrench) == {"t": 3.0, "force": 10.0, "torque": 11.0, "brake": 1.0, "step": 0.0}
     assert robot.multipliers.t.tolist() == [2.0, 2.0]

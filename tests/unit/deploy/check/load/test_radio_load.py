@@ -136,7 +136,7 @@ def test_messages_are_as_large_as_those_of_a_drive(name: str) -> None:
         said = {
             key_expressions.hand: radio_load._hand_bytes(there, robot, joined[robot], near[robot]),
             key_expressions.beacon: radio_load._beacon_bytes(there, 0),
-            key_expressions.plant_state: radio_load._size(radio_load._plant_state(robot)),
+            key_expressions.plant_state: radio_load._size(radio_load._plant_state(there, robot)),
             key_expressions.status: radio_load._status_bytes(there, robot, joined[robot]),
         }
         for key, size in said.items():
