@@ -32,9 +32,9 @@ BETTER_M: Final = 0.02
 """A move is better by so much, or is not taken..."""
 KEEPS_M: Final = 0.1
 """...and what it does already is as good as one that is better by so much."""
-STAND: Final[Move] = (0.0, 0.0)
 MOVES: Final[tuple[Move, ...]] = tuple(product((0.0, 1.0, -1.0), (0.0, 1.0, -1.0)))
-"""`STAND` is the first."""
+STAND: Final[Move] = MOVES[0]
+"""Not spelt out: compiled, what other modules take of a tuple of numbers was never set."""
 
 
 class Ability(NamedTuple):
