@@ -17,8 +17,15 @@ from agent.control.hand import Pose
 
 Way = Sequence[Vector]
 """Where a body is every `STEP_S` from now on, until it rests; m, W."""
-Move = tuple[float, float]
-"""Shares, -1 to 1, of the greatest speed and yaw rate to make for."""
+
+
+class Move(NamedTuple):
+    """Shares, -1 to 1, of the greatest speed and yaw rate to make for. (A class: of a pair of numbers, which
+    is compiled, what other modules take was never set.)"""
+
+    speed: float
+    turn: float
+
 
 STEP_S: Final = 0.1
 """Between two places that are compared."""
@@ -32,9 +39,8 @@ BETTER_M: Final = 0.02
 """A move is better by so much, or is not taken..."""
 KEEPS_M: Final = 0.1
 """...and what it does already is as good as one that is better by so much."""
-MOVES: Final[tuple[Move, ...]] = tuple(product((0.0, 1.0, -1.0), (0.0, 1.0, -1.0)))
-STAND: Final[Move] = MOVES[0]
-"""Not spelt out: compiled, what other modules take of a tuple of numbers was never set."""
+STAND: Final = Move(0.0, 0.0)
+MOVES: Final = (STAND, *(Move(*each) for each in product((0.0, 1.0, -1.0), (0.0, 1.0, -1.0)) if any(each)))
 
 
 class Ability(NamedTuple):
@@ -55,7 +61,7 @@ def clearance(body: Pose, move: Move, ways: Sequence[tuple[Way, float]], can: Ab
     """
     x, y, heading, speed, turn = body
     reach, hardest = can.reach, can.hardest
-    aim, aim_turn = move[0] * can.most, move[1] * can.turns
+    aim, aim_turn = move.speed * can.most, move.turn * can.turns
     least = inf
     for k in range(max(len(way) for way, _ in ways)):
         c, s = cos(heading), sin(heading)
@@ -81,8 +87,8 @@ def clearance(body: Pose, move: Move, ways: Sequence[tuple[Way, float]], can: Ab
 def acceleration(body: Pose, move: Move, can: Ability) -> Vector:
     """What such a move is for the hand at first, m/s^2, W; no more than `hardest`."""
     _, _, heading, speed, turn = body
-    along = max(-can.hardest, min(can.hardest, (move[0] * can.most - speed) / STEP_S))
-    across = can.reach * (move[1] * can.turns - turn) / TURNS_S
+    along = max(-can.hardest, min(can.hardest, (move.speed * can.most - speed) / STEP_S))
+    across = can.reach * (move.turn * can.turns - turn) / TURNS_S
     along, across = along - can.reach * turn * turn, across + speed * turn
     size = max(1.0, (along * along + across * across) ** 0.5 / can.hardest)
     c, s = cos(heading), sin(heading)

@@ -14,6 +14,7 @@ from agent.control.dodging import (
     STAND,
     STEP_S,
     Ability,
+    Move,
     acceleration,
     clearance,
     out_of_the_way,
@@ -75,7 +76,7 @@ def test_half_way_it_does_not_turn_back_for_little() -> None:
     move=st.sampled_from(MOVES),
 )
 def test_it_is_followed_as_the_body_moves_when_that_is_asked_of_it(
-    heading: float, speed: float, turn: float, move: tuple[float, float]
+    heading: float, speed: float, turn: float, move: Move
 ) -> None:
     """A second of it, step by step: what is asked for is within its limit, and leads where it was to."""
     body = Pose(1.0, -2.0, heading, speed, turn)
