@@ -10,7 +10,7 @@ from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.prediction import BRAKING_TIME_S
 from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc, middle, moves
-from agent.messages.types import FLOAT_MAX, PlantState, Setpoint
+from agent.messages.types import FLOAT_MAX, LOST_MS_MAX, PlantState, Setpoint
 
 LAST_PLACE_NS: Final = NS_PER_S
 """A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
@@ -29,7 +29,7 @@ class OwnHand:
         doubt: how far it may be from `shown`, m.
         obeys: what the body goes on by when nothing commands it any more, while it is measured and moves;
             once it is lost, what it went on by since it was measured last.
-        lost_ms: so long ago that was; 0 while it is measured.
+        lost_ms: so long ago that was, ms, 0 while it is measured.
     """
 
     def __init__(self, controller: Controller, rolls: Rolls | None = None) -> None:
@@ -70,7 +70,7 @@ class OwnHand:
             return
         if rolls:
             self._roll_on(near, self._controller.obeys(plant, plant.time_ns), rolls)
-            self.lost_ms = max(1, (now_ns - plant.time_ns) // NS_PER_MS)
+            self.lost_ms = min(max(1, (now_ns - plant.time_ns) // NS_PER_MS), LOST_MS_MAX)
             return
         remains = exp(-(now_ns - since_ns) / NS_PER_S / BRAKING_TIME_S)
         way = BRAKING_TIME_S * (1.0 - remains)

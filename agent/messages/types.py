@@ -134,11 +134,12 @@ _DOUBT: Final = About(
 )
 
 
+LOST_MS_MAX: Final = 60_000
 _LOST: Final = About(
     "How long ago its body was measured last, while its plant is lost and it may roll on",
     "ms",
     least=0,
-    most=60_000,
+    most=LOST_MS_MAX,
     before=0,
     omitted=True,
 )

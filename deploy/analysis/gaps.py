@@ -30,9 +30,9 @@ class PoseGap(NamedTuple):
         lasts: it goes on to the end of the drive.
         rule: names the rule that stopped the robot's plant, if one did.
         is_lost: it comes of a damaged file.
-        is_hidden: where the robot was meanwhile is not known. It is where virtual time was recorded, which
-            has all bodies, and of a simulated body that a rule stopped, for a time that is known: that one
-            brakes and stands.
+        is_hidden: where the robot was meanwhile is not known. It is known in virtual time, which records
+            vehicles without their bridges as well, and of a simulated body that a rule stopped, for a time
+            that is known: that one brakes and stands.
     """
 
     robot: int

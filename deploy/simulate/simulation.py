@@ -324,6 +324,8 @@ class Simulation:
     def _host(self, robot: int, role: str) -> _Host:
         return self._hosts[self._order[robot, role]]
 
+    # ------------------------------------------------------------------ what rules do to processes
+
     def _tell_truth(self, robot: int, life: int) -> None:
         """Records where a vehicle is of which no bridge tells, for the verdict, until one does. Nobody in the
         fleet hears it."""
@@ -336,8 +338,6 @@ class Simulation:
             state = PlantState(robot, 0, local_ns, *body.pose, 0.0, 0.0, False, True, False, "")
             self._sink(self.now_ns, key_expressions.plant_truth(self.fleet.fleet.name, robot), encode(state))
             self._at(self.now_ns + self.fleet.period_ns, partial(self._tell_truth, robot, life))
-
-    # ------------------------------------------------------------------ what rules do to processes
 
     def _at(self, time_ns: int, do: Callable[[], None]) -> None:
         """Does `do` at a time; of one time, what was asked for first comes first."""
