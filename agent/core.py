@@ -24,7 +24,7 @@ from agent.control.peers.rolling import rolls_of
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.links.ingress import Accept, Ingress, OnAir
+from agent.links.ingress import Accept, Decode, Ingress, OnAir
 from agent.links.radio import Radio
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
@@ -64,12 +64,15 @@ STOOD_MOST_NS: Final = NS_PER_S // 5
 class Agent:
     """The agent of robot `robot` of `fleet`, an `agent.node.Node`.
 
+    Args:
+        reads: see `agent.links.ingress.Ingress`.
+
     Raises:
         agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
         agent.control.own_law.LawError: its law cannot be made.
     """
 
-    def __init__(self, fleet: Fleet, robot: int) -> None:
+    def __init__(self, fleet: Fleet, robot: int, reads: Decode | None = None) -> None:
         fleet.robot(robot)  # says which there are, when there is none of that id
         name = fleet.fleet.name
         self.robot: Final = robot
@@ -128,6 +131,7 @@ class Agent:
             {"hand": others, "beacon": others, "state": (robot,)},
             self._damaged,
             self._radio,
+            reads,
         )
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected

@@ -27,6 +27,8 @@ HELD_PERIOD_NS: Final = NS_PER_S
 
 Accept = Callable[[Any, int], str | None]
 """(message, wall time ns) -> why it is refused, None when it is taken."""
+Decode = Callable[[bytes], Message]
+"""Bytes -> the message; raises `Malformed`."""
 
 
 class _Route(NamedTuple):
@@ -57,6 +59,7 @@ class Ingress:
         sources: by topic (`agent.messages.types.TOPICS`), the robots whose messages come here.
         damaged: called with the key of what is no valid message, and why.
         radio: over which other robots' messages come, None for one that keeps nothing waiting.
+        reads: makes a message of bytes, as `agent.messages.codec.decode`, which is what None stands for.
 
     Attributes:
         subscriptions, publications: keys that the node needs for it.
@@ -72,8 +75,10 @@ class Ingress:
         sources: Mapping[str, Sequence[int]],
         damaged: Callable[[str, Malformed], None] | None = None,
         radio: Radio[OnAir] | None = None,
+        reads: Decode | None = None,
     ) -> None:
         name = fleet.fleet.name
+        self._decode: Decode = decode if reads is None else reads
         self.plan: Final = FaultPlan(fleet)
         self._radio = radio
         self._links = LinkEmulator(self.plan, robot, sources, radio=radio is not None)
@@ -114,7 +119,7 @@ class Ingress:
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes one message off the bus. What is not valid is counted by its reason and changes nothing."""
         try:
-            message = decode(payload)
+            message = self._decode(payload)
         except Malformed as error:
             self._refuse(key, error)
             return

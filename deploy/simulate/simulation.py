@@ -52,6 +52,8 @@ AGAIN_NS: Final = NS_PER_S // 2
 """A node that starts again gets the orders so long after, as in a run."""
 STOP_TIMEOUT_NS: Final = 3 * NS_PER_S
 PROGRESS_PERIOD_NS: Final = NS_PER_S // 4
+READ_ROUNDS: Final = 8
+"""So many messages of each robot are known that have been read: those on their way, and that of the plant."""
 
 Sink = Callable[[int, str, bytes], None]
 Progress = Callable[[float], bool]
@@ -261,7 +263,9 @@ class Simulation:
             self._operator.keys[kind] for kind in (Mission, Stop, Resume)
         } | self._operator.relay_keys
         self._bodies = Bodies(fleet)
-        self.agents = [Agent(fleet, robot) for robot in fleet.ids]
+        # Messages do not change, and all that hear one are here: the first reads it for the others.
+        self._read = lru_cache(maxsize=READ_ROUNDS * len(fleet.ids))(decode)
+        self.agents = [Agent(fleet, robot, self._read) for robot in fleet.ids]
         self.plants = [self._plant(robot) for robot in fleet.ids]
         nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]
         nodes += [("agent", node.robot, node) for node in self.agents]
@@ -372,7 +376,7 @@ class Simulation:
         """A new node in the place of one that is gone."""
         index = self.fleet.ids.index(robot)
         if role == "agent":
-            self.agents[index] = Agent(self.fleet, robot)
+            self.agents[index] = Agent(self.fleet, robot, self._read)
             return self.agents[index]
         self.plants[index] = self._plant(robot)
         return self.plants[index]
