@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from math import isfinite
 from typing import Any, Final
 
 from agent.common.errors import Error
 from agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
 from agent.control import pace
-from agent.control.controller import Controller
+from agent.control.controller import Controller, Drive
 from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
@@ -464,8 +463,7 @@ class Agent:
             situation.numbers = str(error)
             return self._brake(now_ns)
         multipliers = controller.coupling.shared()
-        numbers = (drive.force, drive.torque, *drive.forces, *(value for _, value in multipliers))
-        if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:
+        if not _can_be_sent(drive, multipliers):
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
             situation.numbers = f"the law gave force {drive.force} N and torque {drive.torque} N m"
             return self._brake(now_ns)
@@ -567,6 +565,19 @@ def _event_trigger(fleet: Fleet, controller: Controller) -> EventTrigger | None:
         slopes=controller.coupling.slopes,
         missed=missed if fleet.is_large else None,
     )
+
+
+def _can_be_sent(drive: Drive, multipliers: tuple[tuple[int, float], ...]) -> bool:
+    """Whether all its numbers are within what a message may hold, which none is that is not finite."""
+    if not (-FLOAT_MAX <= drive.force <= FLOAT_MAX and -FLOAT_MAX <= drive.torque <= FLOAT_MAX):
+        return False
+    for value in drive.forces:
+        if not -FLOAT_MAX <= value <= FLOAT_MAX:
+            return False
+    for _, value in multipliers:  # noqa: SIM110 (a generator is slower, and this is asked at every tick)
+        if not -FLOAT_MAX <= value <= FLOAT_MAX:
+            return False
+    return True
 
 
 def _own(message: Mission | Stop | Resume | Beacon, now_ns: int) -> None:

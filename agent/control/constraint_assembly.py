@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import hypot
-from typing import Final, NamedTuple
+from typing import Final
 
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
@@ -41,7 +41,7 @@ STOP_S: Final = 0.1
 _AT_REST: Final[Vector] = (0.0, 0.0)
 
 
-class Scene(NamedTuple):
+class Scene:
     """What acts on the own hand at one instant, as it is found.
 
     now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. place: where it is to be, if
@@ -50,15 +50,18 @@ class Scene(NamedTuple):
     only leave that.
     """
 
-    now_ns: int
-    own: hand.Hand
-    nx: float
-    ny: float
-    place: Vector | None
-    constraints: list[Constraint]
-    planes: list[safety_filter.HalfPlane]
-    within: list[Blocker]
-    stops: list[safety_filter.HalfPlane]
+    __slots__ = "constraints", "now_ns", "nx", "ny", "own", "place", "planes", "stops", "within"
+
+    def __init__(self, now_ns: int, own: hand.Hand, nx: float, ny: float, place: Vector | None) -> None:
+        self.now_ns: Final = now_ns
+        self.own: Final = own
+        self.nx: Final = nx
+        self.ny: Final = ny
+        self.place: Final = place
+        self.constraints: Final[list[Constraint]] = []
+        self.planes: Final[list[safety_filter.HalfPlane]] = []
+        self.within: Final[list[Blocker]] = []
+        self.stops: Final[list[safety_filter.HalfPlane]] = []
 
 
 class ConstraintAssembly:
@@ -279,7 +282,7 @@ class ConstraintAssembly:
         if deepest is not None:
             scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True, body=True))
             if lost:
-                scene.planes.append(deepest._replace(rank=safety_filter.SEPARATION))
+                scene.planes.append(deepest.ranked(safety_filter.SEPARATION))
             elif deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
                 rate = self._barrier_rate
                 stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)
@@ -394,7 +397,7 @@ def _pushing_last(
     all that is known; and what braking at `rate` (1/s) gives, with it, for both can be met, (F4)."""
     brakes = only_braking(plane, own, 1.0 / rate)
     if brakes.least < plane.least:
-        yield plane._replace(rank=safety_filter.UNSURE)
+        yield plane.ranked(safety_filter.UNSURE)
     yield brakes
 
 
@@ -404,4 +407,4 @@ def only_braking(
     """The half plane, as far as it brakes the own hand, no harder than this makes it stand (s): it does not
     drive it back."""
     closing = plane.nx * own.vx + plane.ny * own.vy
-    return plane._replace(least=min(plane.least, -closing / stop_s))
+    return plane.asking(min(plane.least, -closing / stop_s))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from math import ceil, hypot, inf
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
@@ -68,34 +68,32 @@ SLOW_SPEED: Final = 0.2
 """One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
 
 
-class Drive(NamedTuple):
+class Drive:
     """What one tick of the law gives.
 
-    force (N) and torque (N m) to ask of the plant; the navigation force F_n, the constraint force F_c and
-    the correction that make up the acceleration, m/s^2, W; how many constraints acted; what the last
-    stage changed it for; numbers that a law of others has for its neighbours.
+    force (N) and torque (N m) to ask of the plant; forces: as a `HandState` has them, the navigation force
+    F_n, the constraint force F_c and the correction that make up the acceleration, m/s^2, W; degree: how
+    many constraints acted; causes: what the last stage changed it for; own: numbers that a law of others has
+    for its neighbours.
     """
 
-    force: float
-    torque: float
-    navigation_x: float
-    navigation_y: float
-    constraint_x: float
-    constraint_y: float
-    correction_x: float
-    correction_y: float
-    degree: int
-    causes: tuple[str, ...]
-    own: tuple[float, ...]
+    __slots__ = "causes", "degree", "force", "forces", "own", "torque"
 
-    @property
-    def forces(self) -> Forces:
-        """Forces and correction as a `HandState` has them."""
-        return (
-            *(self.navigation_x, self.navigation_y),
-            *(self.constraint_x, self.constraint_y),
-            *(self.correction_x, self.correction_y),
-        )
+    def __init__(
+        self,
+        force: float,
+        torque: float,
+        forces: Forces,
+        degree: int,
+        causes: tuple[str, ...],
+        own: tuple[float, ...],
+    ) -> None:
+        self.force: Final = force
+        self.torque: Final = torque
+        self.forces: Final[Forces] = forces
+        self.degree: Final = degree
+        self.causes: Final = causes
+        self.own: Final = own
 
 
 class Controller:
@@ -314,7 +312,7 @@ class Controller:
             gain = max(self._c2, self._barrier_rate) if self.detour.fixed else self._c2
             gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
         place = (x, y) if hypot(vx, vy) <= SPEED_MIN else None
-        scene = Scene(now_ns, own, gx, gy, place, [], [], [], [])
+        scene = Scene(now_ns, own, gx, gy, place)
         self._assembly.find(scene, acting_ns, self.edges, self.detour.grip)
         numbers: tuple[float, ...] = ()
         if self._own_law is None:
@@ -336,8 +334,8 @@ class Controller:
         self._hold = self._held(scene, ux, uy, causes) if self.detour.looks else NOTHING
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         force, torque = _within(force, self._force_max), _within(torque, self._torque_max)
-        correction = ux - nx - cx, uy - ny - cy
-        return Drive(force, torque, nx, ny, cx, cy, *correction, len(scene.constraints), causes, numbers)
+        forces = nx, ny, cx, cy, ux - nx - cx, uy - ny - cy
+        return Drive(force, torque, forces, len(scene.constraints), causes, numbers)
 
     def evasion(self, plant: PlantState, now_ns: int) -> tuple[float, float] | None:
         """Force (N) and torque (N m) that get a robot that is to stand out of the way of vehicles that roll
@@ -348,7 +346,7 @@ class Controller:
         acting_ns = self.acting_ns(now_ns)
         body = self._pose_at(plant, acting_ns)
         own = hand.hand(body, self._reach)
-        scene = Scene(now_ns, own, 0.0, 0.0, (own.x, own.y), [], [], [], [])
+        scene = Scene(now_ns, own, 0.0, 0.0, (own.x, own.y))
         self._assembly.find(scene, acting_ns, self.edges, 0.0)
         ux, uy = -own.vx / BRAKING_TIME_S, -own.vy / BRAKING_TIME_S
         if (dodge := self._assembly.dodge(scene, body)) is not None:

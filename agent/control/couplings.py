@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 from agent.common.quantities import Vector
 from agent.control import law
@@ -20,15 +20,26 @@ Key = int | str
 boundary with a number."""
 
 
-class Constraint(NamedTuple):
+class Constraint:
     """One constraint at one instant: `other` is None for what stands still, `degree` that of the other."""
 
-    key: Key
-    edge: law.Edge
-    other: Prediction | None
-    degree: int
-    one_sided: bool
-    name: str = ""
+    __slots__ = "degree", "edge", "key", "name", "one_sided", "other"
+
+    def __init__(
+        self,
+        key: Key,
+        edge: law.Edge,
+        other: Prediction | None,
+        degree: int,
+        one_sided: bool,
+        name: str = "",
+    ) -> None:
+        self.key: Final = key
+        self.edge: Final = edge
+        self.other: Final = other
+        self.degree: Final = degree
+        self.one_sided: Final = one_sided
+        self.name: Final = name
 
 
 class Coupling:

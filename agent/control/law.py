@@ -44,7 +44,7 @@ class Gains(NamedTuple):
     far: float = 0.0
 
 
-class Edge(NamedTuple):
+class Edge:
     """What the law needs of one edge at one instant.
 
     Attributes:
@@ -57,13 +57,25 @@ class Edge(NamedTuple):
         softness: its k_2 (J4), 1/m^2.
     """
 
-    normal: Vector
-    distance: float
-    phi: float
-    slope: float
-    rate: float
-    demand: float
-    softness: float
+    __slots__ = "demand", "distance", "normal", "phi", "rate", "slope", "softness"
+
+    def __init__(
+        self,
+        normal: Vector,
+        distance: float,
+        phi: float,
+        slope: float,
+        rate: float,
+        demand: float,
+        softness: float,
+    ) -> None:
+        self.normal: Final = normal
+        self.distance: Final = distance
+        self.phi: Final = phi
+        self.slope: Final = slope
+        self.rate: Final = rate
+        self.demand: Final = demand
+        self.softness: Final = softness
 
 
 def edge(

@@ -36,14 +36,25 @@ _ROOM: Final = 1.15
 _INWARD: Final = 1.0 - 1e-15
 
 
-class HalfPlane(NamedTuple):
+class HalfPlane:
     """``n . u >= least`` (m/s^2): n a unit vector (W); a zero n says nothing. `cause`: for reports."""
 
-    nx: float
-    ny: float
-    least: float
-    cause: str
-    rank: int = SEPARATION
+    __slots__ = "cause", "least", "nx", "ny", "rank"
+
+    def __init__(self, nx: float, ny: float, least: float, cause: str, rank: int = SEPARATION) -> None:
+        self.nx: Final = nx
+        self.ny: Final = ny
+        self.least: Final = least
+        self.cause: Final = cause
+        self.rank: Final = rank
+
+    def asking(self, least: float) -> HalfPlane:
+        """The same, but for how much it asks, m/s^2."""
+        return HalfPlane(self.nx, self.ny, least, self.cause, self.rank)
+
+    def ranked(self, rank: int) -> HalfPlane:
+        """The same, but for its rank."""
+        return HalfPlane(self.nx, self.ny, self.least, self.cause, rank)
 
 
 class Filtered(NamedTuple):
@@ -260,15 +271,13 @@ def project(ux: float, uy: float, planes: list[HalfPlane], most: float) -> Filte
     size = hypot(ux, uy)
     tolerance = _TOLERANCE * (most if most > 1.0 else 1.0)
     if size <= most:
-        for nx, ny, least, _, _ in planes:
-            if nx * ux + ny * uy < least - tolerance and (nx or ny):
+        for plane in planes:
+            nx, ny = plane.nx, plane.ny
+            if nx * ux + ny * uy < plane.least - tolerance and (nx or ny):
                 break
         else:
             return Filtered(ux, uy, (), 0.0)
-    limits = [
-        (nx, ny, -LEAST_MAX if least < -LEAST_MAX else LEAST_MAX if least > LEAST_MAX else least)
-        for nx, ny, least, _, _ in planes
-    ]
+    limits = [(plane.nx, plane.ny, _bounded(plane.least)) for plane in planes]
     found = _optimum(ux, uy, [limit for limit in limits if limit[0] or limit[1]], most, tolerance)
     if found is None:
         found = _compromise(ux, uy, limits, [plane.rank for plane in planes], most, tolerance)
@@ -288,6 +297,10 @@ def project(ux: float, uy: float, planes: list[HalfPlane], most: float) -> Filte
     if size > most - tolerance:
         causes.append("acceleration")
     return Filtered(x, y, tuple(causes), violation)
+
+
+def _bounded(least: float) -> float:
+    return -LEAST_MAX if least < -LEAST_MAX else LEAST_MAX if least > LEAST_MAX else least
 
 
 _Limit = tuple[float, float, float]

@@ -25,6 +25,8 @@ def at_rest(speed: float, yaw_rate: float) -> bool:
 class State(Enum):
     """What a robot is doing. The values are what status messages carry."""
 
+    __hash__ = object.__hash__  # that of an `Enum` is no function in C, and each tick asks for several
+
     WAITING = "waiting"
     READY = "ready"
     STANDBY = "standby"

@@ -70,7 +70,8 @@ class StatusReport:
 
     def intervened(self, causes: Collection[str]) -> None:
         """Counts a tick in which the safety filter changed what the law asked for, if it did, by cause."""
-        self._interventions.update(causes)
+        if causes:
+            self._interventions.update(causes)
         self._interventions["any"] += bool(causes)
 
     def link_opened_anew(self, now_ns: int, what: str) -> None:

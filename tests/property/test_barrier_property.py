@@ -117,7 +117,7 @@ def test_twice_is_once(asked, planes):
 
 @given(ASKED, planes_any())
 def test_where_not_all_can_be_met_the_largest_violation_is_least(asked, planes):
-    planes = [p._replace(rank=SEPARATION) for p in planes]
+    planes = [p.ranked(SEPARATION) for p in planes]
     u = project(*asked, planes, MOST)
     assert hypot(u.ux, u.uy) <= MOST
     short = max([0.0, *(least - nx * u.ux - ny * u.uy for nx, ny, least in bare(planes))])

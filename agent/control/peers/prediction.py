@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import cos, exp, expm1, hypot, sin, sqrt
-from typing import Final, NamedTuple
+from typing import Final
 
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.control.law import acting_error, firmness
@@ -68,17 +68,20 @@ def transition(c1: float, c2: float, decay: float, age: float) -> Transition:
     return a11, s, -c1 * s, a22, b1, b2, remains
 
 
-class Prediction(NamedTuple):
+class Prediction:
     """One robot at one instant, vectors (x, y) in W.
 
     position m, velocity m/s, navigation force F_n with what is left of its correction, and constraint
     force F_c, m/s^2.
     """
 
-    position: Vector
-    velocity: Vector
-    navigation: Vector
-    constraint: Vector
+    __slots__ = "constraint", "navigation", "position", "velocity"
+
+    def __init__(self, position: Vector, velocity: Vector, navigation: Vector, constraint: Vector) -> None:
+        self.position: Final = position
+        self.velocity: Final = velocity
+        self.navigation: Final = navigation
+        self.constraint: Final = constraint
 
 
 def following(
@@ -192,9 +195,11 @@ def slowed(
     share = min(1.0, most * age / max(hypot(dx, dy), DISTANCE_MIN))
     vx, vy = found.velocity[0] - then[2], found.velocity[1] - then[3]
     part = min(1.0, most / max(hypot(vx, vy), DISTANCE_MIN)) if share < 1.0 else 1.0
-    return found._replace(
-        position=(then[0] + ex + share * dx, then[1] + ey + share * dy),
-        velocity=(then[2] + part * vx, then[3] + part * vy),
+    return Prediction(
+        (then[0] + ex + share * dx, then[1] + ey + share * dy),
+        (then[2] + part * vx, then[3] + part * vy),
+        found.navigation,
+        found.constraint,
     )
 
 

@@ -60,7 +60,7 @@ class Robot:
         own = Hand(0.1, 0.0, speed, 0.0)
         self.controller.look(now_ns)
         self.proximity.look(now_ns, own, (2,))
-        scene = Scene(now_ns, own, 0.0, 0.0, None, [], [], [], [])
+        scene = Scene(now_ns, own, 0.0, 0.0, None)
         self.assembly.find(scene, now_ns, self.controller.edges, 1.0)
         return scene
 

@@ -252,8 +252,8 @@ def test_far_from_its_place_a_robot_uses_what_acceleration_it_has(share: float, 
     asked = sum(drive.forces[::2])
     aimed = 0.9 * share  # m/s
     carried = hand(Pose(0.0, 0.0, 0.0, speed, 0.0), fleet.robot(1).hand_offset_m).vx
-    assert drive.navigation_x == pytest.approx(2.0 * 0.6 * (aimed - carried), rel=0.05)
-    assert asked == pytest.approx(min(0.8, drive.navigation_x), rel=0.05)
+    assert drive.forces[0] == pytest.approx(2.0 * 0.6 * (aimed - carried), rel=0.05)
+    assert asked == pytest.approx(min(0.8, drive.forces[0]), rel=0.05)
     controller.keep_pace(4 * fleet.period_ns, share)
     assert controller.peers.forecast.speeding == pytest.approx(1.25)  # what 5 Hz carry
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.control import law
+from tests.values import values
 
 GAINS = law.Gains(kd=1.8, k2=5.0, kp=1.0)
 RS = 0.22
@@ -47,7 +48,8 @@ def test_two_in_one_place_have_no_direction_and_no_force() -> None:
 def test_a_fading_edge_is_the_same_constraint_scaled() -> None:
     e = pair(0.8, closing=0.1)
     faded = law.weighted(e, 0.25)
-    assert faded == law.Edge(e.normal, e.distance, *(0.25 * value for value in e[2:6]), e.softness)
+    scaled = (0.25 * value for value in (e.phi, e.slope, e.rate, e.demand))
+    assert values(faded) == (e.normal, e.distance, *scaled, e.softness)
 
 
 def test_a_one_sided_multiplier_never_pulls() -> None:

@@ -18,6 +18,7 @@ from tests.unit.agent.control.peers.neighbours import (
     predicted,
     total,
 )
+from tests.values import values
 
 # ---------------------------------------------------------------------- taken and refused
 
@@ -37,14 +38,14 @@ def test_reasons_of_refusal():
 
 def test_a_refused_message_changes_nothing():
     known = heard(peers(), *(message(robot, 4, T0, position=(1.0, 2.0)) for robot in OFFSETS))
-    expected = [predicted(known, robot, T0 + S) for robot in OFFSETS]
+    expected = [values(predicted(known, robot, T0 + S)) for robot in OFFSETS]
     now = T0 + PERIOD
     for time_ns, sequence, follows in ((now + 2 * FUTURE_NS_MAX, 5, True), (T0, 4, False), (T0 - 1, 3, True)):
         wild = message(
             2, sequence, time_ns, follows, (9.0, 9.0), (0.0, 0.0), (5.0, 5.0), ((1, 7.0),), degree=50
         )
         assert known.accept(wild, now) is not None
-    assert [predicted(known, robot, T0 + S) for robot in OFFSETS] == expected
+    assert [values(predicted(known, robot, T0 + S)) for robot in OFFSETS] == expected
     assert known.take_copy(2) is None
     assert known.get(2).degree == 1
 
@@ -228,7 +229,7 @@ def test_a_hand_state_says_more_than_the_beacon_of_its_tick():
     assert both.accept_beacon(beacon(2, T0, (1.0, 2.0), (0.5, 0.0)), T0 + PERIOD) is None
     for known in (plain, both):
         heard(known, said)
-    assert predicted(both, 2, T0 + 3 * PERIOD) == predicted(plain, 2, T0 + 3 * PERIOD)
+    assert values(predicted(both, 2, T0 + 3 * PERIOD)) == values(predicted(plain, 2, T0 + 3 * PERIOD))
     assert predicted(both, 2, T0).constraint == (0.1, 0.2)
     assert both.accept_beacon(beacon(2, T0, (1.0, 2.0), (0.5, 0.0)), T0 + PERIOD) is None
     assert predicted(both, 2, T0).constraint == (0.1, 0.2)
