@@ -141,6 +141,7 @@ $(COMPILED)/.built: $(VENV)/.dev $(SOURCES)
 	@echo 'compiling, which takes some two minutes'
 	@rm -rf $(COMPILED_BUILD) && mkdir -p $(COMPILED_BUILD)
 	@cp -RP agent plant bridges deploy handfast.py handfast-stubs pyproject.toml README.md LICENSE $(COMPILED_BUILD)
+	@$(PY) -m agent.messages.fast_path > $(COMPILED_BUILD)/agent/messages/compiled_fast_path.py
 	@CFLAGS='$(COMPILED_CFLAGS)' HATCH_BUILD_HOOKS_ENABLE=1 $(PY) -m pip wheel --quiet --disable-pip-version-check \
 	  --no-deps --no-build-isolation --no-index --wheel-dir $(COMPILED_BUILD) $(COMPILED_BUILD)
 	@echo 'making $(COMPILED)'

@@ -14,12 +14,15 @@ drop it and count it by reason.
 from __future__ import annotations
 
 from functools import lru_cache
+from importlib import import_module
 from struct import Struct
 from typing import Any, Final
 from zlib import crc32
 
 import msgpack
 
+from agent.common.compiled import COMPILED
+from agent.messages.fast_path import HEAD, Taker, omitted, taker
 from agent.messages.types import (
     BYTES_MAX,
     CLASSES,
@@ -31,12 +34,15 @@ from agent.messages.types import (
     Message,
     Mission,
 )
-from agent.messages.validation import HEAD, Malformed, Taker, omitted, shown, taker
+from agent.messages.validation import Malformed, examined, shown
 
 TYPE_OF: Final = {cls: number for number, cls in enumerate(CLASSES)}
+_HEADS: Final[dict[type[Message], tuple[Any, ...]]] = {cls: (VERSION, TYPE_OF[cls]) for cls in CLASSES}
 _FEWEST: Final = {cls: len(cls._fields) - len(rest) for cls in CLASSES if (rest := omitted(cls))}
 _takers: dict[int, Taker] = {}
 """By the number of the class; each is made when the first of its messages comes, or by `be_ready`."""
+COMPILED_FAST_PATH: Final = "agent.messages.compiled_fast_path"
+"""Module that there is only where the rest is compiled."""
 _STATUS_VALUES_MAX: Final = 2048
 
 
@@ -96,12 +102,12 @@ def encode(message: Message) -> bytes:
     cls = type(message)
     fewest = _FEWEST.get(cls)
     if fewest is None or message[-1]:
-        packed: bytes = _pack((VERSION, TYPE_OF[cls], *message))
+        packed: bytes = _pack(_HEADS[cls] + message)
     else:
         count = len(message) - 1
         while count > fewest and not message[count - 1]:
             count -= 1
-        packed = _pack((VERSION, TYPE_OF[cls], *message[:count]))
+        packed = _pack(_HEADS[cls] + message[:count])
     return packed + _checksum(_UINT32, crc32(packed))
 
 
@@ -134,7 +140,9 @@ def _decoded(payload: bytes) -> Message:
     if type(version) is not int or version != VERSION:
         raise _other_version(version)
     take = _takers.get(number) if type(number) is int else None
-    return take(array) if take is not None else _taker(number)(array)
+    if take is None:
+        take = _taker(number)
+    return take(array, examined)
 
 
 _known: Final = lru_cache(maxsize=KNOWN)(_decoded)
@@ -151,8 +159,9 @@ def be_ready() -> None:
 def _taker(number: Any) -> Taker:
     if type(number) is not int or not 0 <= number < len(CLASSES):
         raise Malformed("type", f"message type {shown(number)} is not known")
-    take = _takers[number] = taker(CLASSES[number])
-    return take
+    if COMPILED:
+        return _takers.setdefault(number, import_module(COMPILED_FAST_PATH).TAKERS[number])
+    return _takers.setdefault(number, taker(CLASSES[number]))
 
 
 def _unpacked(packed: bytes) -> Any:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from agent.messages import validation
 from agent.messages.codec import VERSION, decode, encode, newer
+from agent.messages.fast_path import HEAD, taker
 from agent.messages.types import (
     BYTES_MAX,
     CLASSES,
@@ -32,7 +33,7 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.messages.validation import HEAD, REASONS, Malformed, examined, taker
+from agent.messages.validation import REASONS, Malformed, examined
 from tests.declared_messages import messages_of
 from tests.wire import opened, sealed
 
@@ -241,8 +242,8 @@ def test_the_short_way_lets_through_what_the_long_way_does_and_nothing_else(
     place = data.draw(st.integers(HEAD, len(array) - 1), label="place")
     array[place] = data.draw(HASHABLE | st.just(array[place]), label="value")
 
-    short = outcome(lambda: taker(cls)(tuple(array)))
-    with patch.object(validation, "_rows_of_numbers", lambda _: None):
+    short = outcome(lambda: taker(cls)(tuple(array), examined))
+    with patch.object(validation, "rows_of_numbers", lambda _: None):
         long = outcome(lambda: examined(cls, tuple(array[HEAD:])))
     assert short == long
     assert type(short) is type(long)
@@ -260,7 +261,7 @@ def test_so_does_that_of_the_rows_of_a_mission(mission: Mission, data: st.DataOb
         rows[number] = tuple(row)
     plain = tuple(tuple(map(tuple, value)) if type(value) is list else value for value in values)
     short = outcome(lambda: examined(Mission, plain))
-    with patch.object(validation, "_rows_of_numbers", lambda _: None):
+    with patch.object(validation, "rows_of_numbers", lambda _: None):
         long = outcome(lambda: examined(Mission, plain))
     assert short == long
     if not isinstance(short, str):

@@ -8,8 +8,9 @@ from typing import Annotated, Any, NamedTuple
 import pytest
 
 from agent.messages.declaration import FLOAT_MAX, REQUIRED, About, declared
+from agent.messages.fast_path import taker
 from agent.messages.types import CLASSES, HandState, LinkTrace, Multiplier
-from agent.messages.validation import Malformed, examined, taker
+from agent.messages.validation import Malformed, examined
 from deploy.recording.message_json import reader, schema, to_json
 
 
@@ -53,7 +54,7 @@ def test_all_comes_from_the_declaration():
     """A new field is declared in its class, and set where its message is made: nowhere else."""
     cls: Any = Wind
     wind = Wind(3, 2.5, "starboard", (Multiplier(1, 0.5),))
-    assert taker(cls)((6, 0, 3, 2.5, "starboard", ((1, 0.5),))) == wind
+    assert taker(cls)((6, 0, 3, 2.5, "starboard", ((1, 0.5),)), examined) == wind
     for values, reason in (
         ((0, 2.5, "port", ()), "range"),
         ((3, -1.0, "port", ()), "range"),
@@ -63,7 +64,7 @@ def test_all_comes_from_the_declaration():
         ((3, float("nan"), "port", ()), "not_finite"),
     ):
         with pytest.raises(Malformed) as caught:
-            taker(cls)((6, 0, *values))
+            taker(cls)((6, 0, *values), examined)
         assert caught.value.reason == reason
     assert examined(cls, (3, 2, "port", ())) == Wind(3, 2.0)
     text = b'{"robot":3,"speed":2.5,"side":"starboard","gusts":[{"neighbour":1,"value":0.5}]}'
