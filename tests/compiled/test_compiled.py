@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -63,3 +64,33 @@ def test_all_robots_of_a_run_are_compiled(tmp_path: Path) -> None:
         finally:
             command.send_signal(signal.SIGINT)
     assert command.returncode == 130
+
+
+def test_what_is_sent_to_a_robots_computer_of_this_kind_is_compiled(tmp_path: Path) -> None:
+    """Its wheel beside our packages, as `handfast up` installs them; without the wheel they are Python."""
+    made = (
+        "from pathlib import Path; from deploy.hosts.artifacts.bundle import PACKAGES, program_archive; "
+        "from deploy.hosts.artifacts.compiled_wheel import compiled_modules, wheel; "
+        "name, data = wheel(compiled_modules(PACKAGES)); Path(name).write_bytes(data); "
+        "Path('program.zip').write_bytes(program_archive())"
+    )
+    subprocess.run([COMPILED / "python", "-P", "-c", made], cwd=tmp_path, check=True)
+    (built,) = tmp_path.glob("*.whl")
+    words = [
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-index",
+        "--no-deps",
+        "--target",
+        tmp_path / "there",
+        built,
+    ]
+    said(PYTHON, *words)
+    form = "import sys; sys.path.insert(0, sys.argv[1]); from agent.common.compiled import FORM"
+    for name, wanted in (("there", "compiled"), ("pure", "pure Python")):
+        with zipfile.ZipFile(tmp_path / "program.zip") as archive:
+            archive.extractall(tmp_path / name)
+        shown = said(PYTHON, "-P", "-c", f"{form}; import agent.core; print(FORM)", tmp_path / name)
+        assert shown == f"{wanted}\n"

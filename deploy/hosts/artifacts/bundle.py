@@ -1,5 +1,8 @@
 """What is sent to a robot's computer so that nothing has to be fetched there: wheels for it, our packages.
 
+Where this machine's handfast is compiled, one of the wheels is that (`compiled_wheel`), for those computers
+that can run it.
+
 Wheels are those that ``robot_requirements.txt`` locks, by version and hash, for the computer's own
 processor, C library and Python. They come from where this machine's pip takes packages from, once: a cache
 keeps them, so that a fleet can be brought up again in a field.
@@ -26,6 +29,7 @@ from typing import Any, Final
 
 from agent.runtime.version import handfast_version
 from deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
+from deploy.hosts.artifacts.compiled_wheel import NAME, compiled_modules, runs_here, wheel
 from deploy.hosts.artifacts.plugin_files import plugin_files
 from deploy.inventory.folders import cache_folder
 
@@ -134,7 +138,31 @@ def bundle_for(platform: Platform, program: bytes) -> Bundle:
         except BundleError as error:
             _failed[folder] = str(error)
             raise
-    return Bundle(folder, wheels, program)
+        return Bundle(folder, wheels | _compiled(platform, folder), program)
+
+
+def _compiled(platform: Platform, folder: Path) -> dict[str, str]:
+    """The wheel of what is compiled here, if that is and the computer can run it; by its name, its SHA-256.
+
+    Raises:
+        BundleError: it cannot be laid there.
+    """
+    if not runs_here(platform.python, platform.machine, platform.libc):
+        return {}
+    modules = compiled_modules(PACKAGES)
+    if not modules:
+        return {}
+    name, data = wheel(modules)
+    try:
+        if not (folder / name).is_file():
+            for old in folder.glob(f"{NAME}-*"):
+                old.unlink()
+            hidden = folder / f".{name}.new"
+            hidden.write_bytes(data)
+            hidden.rename(folder / name)
+    except OSError as error:
+        raise BundleError(f"cannot keep wheels in {folder}: {error.strerror or error}") from None
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()}
 
 
 def end_downloads() -> None:
@@ -236,7 +264,7 @@ def program_archive(modules: tuple[str, ...] = ()) -> bytes:
 def _contents(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*")):
-            if path.is_file() and path.suffix != ".pyc":
+            if path.is_file() and path.suffix not in (".pyc", ".so"):  # those are `compiled_wheel`'s
                 yield path.relative_to(ROOT).as_posix(), path.read_bytes()
     yield MODULE, (ROOT / MODULE).read_bytes()
     strangers = tuple(name for name in modules if name.partition(".")[0] not in PACKAGES)
