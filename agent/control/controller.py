@@ -363,11 +363,11 @@ class Controller:
 
     def obeys(self, plant: PlantState, now_ns: int) -> Setpoint:
         """What the own body goes on by when nothing commands it any more from `now_ns` on."""
-        pose = self._pose_at(plant, now_ns)
+        _, _, heading, speed, yaw_rate = self._pose_at(plant, now_ns)
         if plant.asked:
-            return asked(pose.heading, pose.speed, *plant.asked[0])
+            return asked(heading, speed, *plant.asked[0])
         along, spin = plant.force / self._mass, plant.torque / self._inertia
-        return setpoint(pose.heading, pose.speed, pose.yaw_rate, along, spin)
+        return setpoint(heading, speed, yaw_rate, along, spin)
 
     def sent(self, now_ns: int, wrench: tuple[float, float] | None) -> None:
         """Notes what the plant was asked for at the tick `now_ns` (N, N m); None when it is to brake."""
@@ -375,14 +375,14 @@ class Controller:
         if len(self._sent) > self._sent_max:
             del self._sent[next(iter(self._sent))]
 
-    def _pose_at(self, plant: PlantState, time_ns: int) -> hand.Pose:
+    def _pose_at(self, plant: PlantState, time_ns: int) -> hand.State:
         """Own body at `time_ns`, from a plant state and what acts on the body since.
 
         A plant state that came late says nothing of the wrenches that the plant took after it:
         those are the ones that were sent. How hard a plant brakes is its own affair, and the force that it
         states then is that of one of its periods: held on it would drive a body backwards that stands then.
         """
-        pose = hand.Pose(plant.x, plant.y, plant.heading, plant.speed, plant.yaw_rate)
+        pose: hand.State = plant.x, plant.y, plant.heading, plant.speed, plant.yaw_rate
         acts: tuple[float, float] | None = (plant.force, plant.torque)
         since_ns = plant.time_ns
         boundary_ns = self.acts_from_ns(since_ns)
@@ -402,7 +402,7 @@ class Controller:
             boundary_ns += self._period_ns
         return self._moved(pose, acts, (time_ns - since_ns) / NS_PER_S)
 
-    def _moved(self, pose: hand.Pose, acts: tuple[float, float] | None, dt: float) -> hand.Pose:
+    def _moved(self, pose: hand.State, acts: tuple[float, float] | None, dt: float) -> hand.State:
         """The own body after `dt` seconds in which this force and torque act, None: in which it brakes."""
         if acts is None:
             return hand.braked(pose, BRAKING_TIME_S, dt)
@@ -500,7 +500,7 @@ class Controller:
         ux: float,
         uy: float,
         planes: list[safety_filter.HalfPlane],
-        body: hand.Pose,
+        body: hand.State,
         own: hand.Hand,
         reference: Vector,
         slower: float,

@@ -13,7 +13,7 @@ from math import cos, inf, sin
 from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
-from agent.control.hand import Pose
+from agent.control.hand import State
 
 Way = Sequence[Vector]
 """Where a body is every `STEP_S` from now on, until it rests; m, W."""
@@ -52,7 +52,7 @@ class Ability(NamedTuple):
     reach: float
 
 
-def clearance(body: Pose, move: Move, ways: Sequence[tuple[Way, float]], can: Ability) -> float:
+def clearance(body: State, move: Move, ways: Sequence[tuple[Way, float]], can: Ability) -> float:
     """By how much more than it has to be, at least, the hand of a body keeps from others, m, at such a move.
 
     Args:
@@ -84,7 +84,7 @@ def clearance(body: Pose, move: Move, ways: Sequence[tuple[Way, float]], can: Ab
     return least
 
 
-def acceleration(body: Pose, move: Move, can: Ability) -> Vector:
+def acceleration(body: State, move: Move, can: Ability) -> Vector:
     """What such a move is for the hand at first, m/s^2, W; no more than `hardest`."""
     _, _, heading, speed, turn = body
     along = max(-can.hardest, min(can.hardest, (move.speed * can.most - speed) / STEP_S))
@@ -95,7 +95,9 @@ def acceleration(body: Pose, move: Move, can: Ability) -> Vector:
     return (along * c - across * s) / size, (along * s + across * c) / size
 
 
-def out_of_the_way(body: Pose, ways: Sequence[tuple[Way, float]], can: Ability, before: Move = STAND) -> Move:
+def out_of_the_way(
+    body: State, ways: Sequence[tuple[Way, float]], can: Ability, before: Move = STAND
+) -> Move:
     """Which of `MOVES` keeps away from bodies that roll on; `STAND` where that does.
 
     Args:

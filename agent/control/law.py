@@ -100,7 +100,7 @@ def edge(
     wx, wy = velocity
     fx, fy = navigation
     # In plain comparisons: this is asked for every edge at every tick.
-    rho = (x * x + y * y) ** 0.5
+    rho: float = (x * x + y * y) ** 0.5  # said, for a power may be complex, and would be no number in C
     if rho < DISTANCE_MIN:
         rho = DISTANCE_MIN
     nx, ny = x / rho, y / rho
@@ -200,7 +200,7 @@ def acting_error(error: Vector, place_velocity: Vector, c1: float, c2: float, mo
     vx, vy = place_velocity
     pull = c1 / c2
     wx, wy = vx - pull * x, vy - pull * y
-    wanted = (wx * wx + wy * wy) ** 0.5
+    wanted: float = (wx * wx + wy * wy) ** 0.5
     if wanted <= most:
         return error
     most = fastest(place_velocity, most)

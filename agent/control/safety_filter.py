@@ -13,7 +13,7 @@ from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN
-from agent.control.hand import Pose
+from agent.control.hand import State
 
 BODY: Final = 0
 STANDING: Final = 1
@@ -164,7 +164,7 @@ def limit_speed(
 
 
 def limit_actuators(
-    pose: Pose,
+    pose: State,
     mass: float,
     inertia: float,
     reach: float,
@@ -178,16 +178,19 @@ def limit_actuators(
         mass (kg), inertia (kg m^2), reach: of the hand, L (m).
         max_force (N), max_torque (N m): None for no limit.
     """
-    c, s = cos(pose.heading), sin(pose.heading)
     planes: tuple[HalfPlane, ...] = ()
+    if max_force is None and max_torque is None:
+        return planes
+    _, _, heading, speed, yaw_rate = pose
+    c, s = cos(heading), sin(heading)
     if max_force is not None:
-        most, bias = max_force / mass, reach * pose.yaw_rate * pose.yaw_rate
+        most, bias = max_force / mass, reach * yaw_rate * yaw_rate
         planes += (
             HalfPlane(c, s, -most - bias, cause, BODY),
             HalfPlane(-c, -s, -most + bias, cause, BODY),
         )
     if max_torque is not None:
-        most, bias = reach * max_torque / inertia, -pose.speed * pose.yaw_rate
+        most, bias = reach * max_torque / inertia, -speed * yaw_rate
         planes += (
             HalfPlane(-s, c, -most - bias, cause, BODY),
             HalfPlane(s, -c, -most + bias, cause, BODY),
@@ -209,7 +212,7 @@ def turning_limit(speed: float, reach: float, most: float, rate: float) -> tuple
 
 
 def limit_turning(
-    pose: Pose, reach: float, most: float, rate: float, cause: str = "turning", *, quickest: float = inf
+    pose: State, reach: float, most: float, rate: float, cause: str = "turning", *, quickest: float = inf
 ) -> tuple[HalfPlane, ...]:
     """Keeps the yaw rate within `turning_limit`, (F9): L wdot = u . (-sin, cos) - v w.
 
@@ -223,8 +226,8 @@ def limit_turning(
         quickest: the rate at which braking may take a turn away, or bring it to the limit, 1/s: held for a
             period, a quicker one would turn the body the other way, and faster.
     """
-    c, s = cos(pose.heading), sin(pose.heading)
-    speed, turn = pose.speed, pose.yaw_rate
+    _, _, heading, speed, turn = pose
+    c, s = cos(heading), sin(heading)
     if speed >= -rate * reach:  # as below, with `most` for the limit and no slope: as nearly always
         bias, room = speed * turn, 2.0 * rate * reach
         left, right = bias + room * (most - turn), room * (most + turn) - bias

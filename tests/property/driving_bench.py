@@ -85,7 +85,7 @@ class _Robot:
         return HandState(robot, count, now_ns, True, drive.degree, *here, *drive.forces, 0.0, multipliers, ())
 
     def move(self, period_s: float) -> None:
-        self.pose = advance(self.pose, *self.acts, self.body.mass_kg, self.body.inertia_kgm2, period_s)
+        self.pose = Pose(*advance(self.pose, *self.acts, self.body.mass_kg, self.body.inertia_kgm2, period_s))
         self.acts = self.asked
 
 

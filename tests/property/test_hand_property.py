@@ -47,8 +47,8 @@ def test_the_hand_keeps_its_distance_from_the_axle(pose, reach):
 
 @given(POSES, st.floats(-100.0, 100.0), st.floats(-1.0, 1.0), st.floats(0.0, 0.05), st.floats(0.0, 0.05))
 def test_two_short_steps_are_one_long_step(pose, force, torque, first, second):
-    one = advance(pose, force, torque, 10.0, 0.5, first + second)
-    two = advance(advance(pose, force, torque, 10.0, 0.5, first), force, torque, 10.0, 0.5, second)
+    one = Pose(*advance(pose, force, torque, 10.0, 0.5, first + second))
+    two = Pose(*advance(advance(pose, force, torque, 10.0, 0.5, first), force, torque, 10.0, 0.5, second))
     assert abs(one.speed - two.speed) < 1e-12 * (1.0 + abs(pose.speed))
     assert abs(one.yaw_rate - two.yaw_rate) < 1e-12 * (1.0 + abs(pose.yaw_rate))
     assert abs(one.heading - two.heading) < 1e-10

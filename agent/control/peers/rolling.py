@@ -10,7 +10,7 @@ from math import cos, hypot, sin, tau
 from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
-from agent.control.hand import Hand, Pose, hand
+from agent.control.hand import Hand, hand
 from agent.fleet.sections import Robot
 from agent.messages.types import HandState, Setpoint
 
@@ -94,7 +94,7 @@ def rolled(x: float, y: float, obeys: tuple[float, float, float], reach: float, 
     chord = speed * t * (sin(half) / half if abs(half) > 1e-6 else 1.0)
     x += chord * cos(heading + half) - reach * cos(heading)
     y += chord * sin(heading + half) - reach * sin(heading)
-    return hand(Pose(x, y, heading + 2.0 * half, speed, yaw_rate), reach)
+    return hand((x, y, heading + 2.0 * half, speed, yaw_rate), reach)
 
 
 def arc(x: float, y: float, obeys: tuple[float, float, float], rolls: Rolls) -> Way:

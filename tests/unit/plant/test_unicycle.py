@@ -156,7 +156,7 @@ def test_what_acts_is_told_until_the_next_step_as_the_lag_lets_it(lag: float):
     body, now = Unicycle(replace(BODY, actuator_lag_s=lag), PERIOD_S), 0
     reading = body.step(0, Command(10.0, 1.0))
     for force in (10.0, -10.0, 3.0):
-        expected = advance(reading.pose, reading.force, reading.torque, MASS, INERTIA, PERIOD_S)
+        expected = Pose(*advance(reading.pose, reading.force, reading.torque, MASS, INERTIA, PERIOD_S))
         now += round(PERIOD_S * NS_PER_S)
         reading = body.step(now, Command(force, 0.1 * force))
         assert reading.pose[3:] == pytest.approx(expected[3:])

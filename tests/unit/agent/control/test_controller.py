@@ -53,8 +53,10 @@ def test_as_many_wrenches_are_remembered_as_the_oldest_plant_state_needs(rate_hz
         controller.sent(tick_ns, (2.0 if tick_ns > T0 else 0.0, 0.0))
     state = PlantState(1, 0, T0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.0, True, True, True, "")
     pushed_s = (now_ns - T0 - period_ns) / S  # the wrench of T0's round acts from the next on
-    pose = advance(Pose(0.0, 0.0, 0.3, 0.1, 0.0), 0.0, 0.0, body.mass_kg, body.inertia_kgm2, period_ns / S)
-    pose = advance(pose, 2.0, 0.0, body.mass_kg, body.inertia_kgm2, pushed_s)
+    pose = Pose(
+        *advance(Pose(0.0, 0.0, 0.3, 0.1, 0.0), 0.0, 0.0, body.mass_kg, body.inertia_kgm2, period_ns / S)
+    )
+    pose = Pose(*advance(pose, 2.0, 0.0, body.mass_kg, body.inertia_kgm2, pushed_s))
     assert tuple(controller.hand_at(state, now_ns)) == pytest.approx(
         tuple(hand(pose, body.hand_offset_m)), abs=1e-9
     )
@@ -82,12 +84,12 @@ def test_a_body_that_brakes_is_carried_on_until_it_stands(
     before = speed, yaw_rate
     for k in range(1, rounds + 1):
         body.step(T0 + k * period_ns, None)
-        shown = controller._pose_at(state, T0 + k * period_ns)
+        shown = Pose(*controller._pose_at(state, T0 + k * period_ns))
         for was, now in zip(before, shown[3:], strict=True):
             assert abs(now) <= abs(was) + 1e-12, "it slows down"
             assert abs(now) < 1e-12 or now * was > 0.0, "and does not turn round"
         before = shown.speed, shown.yaw_rate
-    stands = controller._pose_at(state, T0 + 5 * S)
+    stands = Pose(*controller._pose_at(state, T0 + 5 * S))
     assert max(map(abs, stands[3:])) < 1e-9
     assert hypot(stands.x, stands.y) <= abs(speed) * (BRAKING_TIME_S + period_ns / S) + 1e-9
 

@@ -89,5 +89,5 @@ def test_it_is_followed_as_the_body_moves_when_that_is_asked_of_it(
         asked = acceleration(body, move, CAN)
         assert hypot(*asked) <= CAN.hardest + 1e-9
         force, torque = wrench(*asked, body, 1.0, 1.0, CAN.reach)
-        body = advance(body, force, torque, 1.0, 1.0, STEP_S)
+        body = Pose(*advance(body, force, torque, 1.0, 1.0, STEP_S))
     assert nearest == pytest.approx(expected, abs=0.12)

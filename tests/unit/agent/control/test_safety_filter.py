@@ -267,7 +267,7 @@ def test_the_yaw_rate_comes_to_its_limit_and_no_further(yaw_rate: float, turns: 
         along = -reach * pose.yaw_rate**2 + 9.0 * (speed - pose.speed)
         wanted = along * c - 30.0 * s, along * s + 30.0 * c
         ux, uy, _, _ = project(*wanted, list(limit_turning(pose, reach, turns, rate)), 50.0)
-        pose = advance(pose, *wrench(ux, uy, pose, 1.0, 1.0, reach), 1.0, 1.0, dt)
+        pose = Pose(*advance(pose, *wrench(ux, uy, pose, 1.0, 1.0, reach), 1.0, 1.0, dt))
         limit, _ = turning_limit(pose.speed, reach, turns, rate)
         beyond = max(0.0, yaw_rate - began)  # of its limit, at first
         assert pose.yaw_rate <= limit + beyond + 2e-3 * turns
@@ -285,7 +285,7 @@ def test_a_body_that_brakes_from_a_fast_drive_backwards_swings_round_no_faster_t
         here = hand(pose, reach)
         ux, uy = -rate * here.vx, -rate * here.vy
         assert all(p.nx * ux + p.ny * uy >= p.least - 1e-2 for p in limit_turning(pose, reach, turns, rate))
-        pose = advance(pose, *wrench(ux, uy, pose, 1.0, 1.0, reach), 1.0, 1.0, dt)
+        pose = Pose(*advance(pose, *wrench(ux, uy, pose, 1.0, 1.0, reach), 1.0, 1.0, dt))
         most = max(most, pose.yaw_rate)
     assert limit < 0.5 * turns
     assert 2.0 * limit < most <= turns * 1.001

@@ -53,7 +53,7 @@ def test_it_keeps_its_speed_and_yaw_rate(heading: float, speed: float, yaw_rate:
     pose = Pose(1.0, -2.0, heading, speed, yaw_rate)
     begins = hand(pose, REACH)
     for _ in range(40):
-        pose = advance(pose, 0.0, 0.0, 1.0, 1.0, t / 40)
+        pose = Pose(*advance(pose, 0.0, 0.0, 1.0, 1.0, t / 40))
     there = rolled(begins.x, begins.y, (heading, speed, yaw_rate), REACH, t)
     assert there == pytest.approx(hand(pose, REACH), abs=1e-6)
 
