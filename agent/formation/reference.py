@@ -14,7 +14,7 @@ Lengths in m, W; times in ns of the wall clock.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from math import hypot
 from typing import Final, NamedTuple
@@ -47,24 +47,35 @@ class Edge(NamedTuple):
     bend: float = 0.0
 
 
-class _Instant(NamedTuple):
+class _Instant:
     """The reference at one time: sample and places of the plan in force, and what it is blended from.
 
     share, rate, bend: S and its first and second derivative by time (1/s, 1/s^2).
     """
 
-    sample: Sample
-    offsets: Mapping[int, Vector]
-    before: _Instant | None
-    share: float
-    rate: float
-    bend: float
+    __slots__ = "before", "bend", "offsets", "rate", "sample", "share"
+
+    def __init__(
+        self,
+        sample: Sample,
+        offsets: dict[int, Vector],
+        before: _Instant | None,
+        share: float,
+        rate: float,
+        bend: float,
+    ) -> None:
+        self.sample: Final[Sample] = sample
+        self.offsets: Final = offsets
+        self.before: Final = before
+        self.share: Final = share
+        self.rate: Final = rate
+        self.bend: Final = bend
 
 
 class _Segment:
     """One plan, from when it is taken over until the next one is."""
 
-    __slots__ = ("_edges", "begin_ns", "blend_ns", "leave_ns", "mark", "plan")
+    __slots__ = ("_edges", "begin_ns", "blend_ns", "leave_ns", "mark", "offsets", "plan")
 
     def __init__(self, plan: Plan, begin_ns: int, blend_ns: int) -> None:
         self.plan: Final = plan
@@ -72,6 +83,7 @@ class _Segment:
         self.blend_ns: Final = blend_ns
         self.leave_ns: Final = min(blend_ns, LEAVE_FADE_NS)
         self.mark: Final[Mark] = mark_of(plan.mission)
+        self.offsets: Final = dict(plan.offsets)
         self._edges: dict[int, tuple[Edge, ...]] = {}
 
     def edges(self, robot: int) -> tuple[Edge, ...]:
@@ -233,11 +245,11 @@ class Reference:
         plan, since_ns = segment.plan, time_ns - segment.begin_ns
         sample = plan.reference(time_ns)
         if since_ns >= segment.blend_ns:
-            return _Instant(sample, plan.offsets, None, 1.0, 0.0, 0.0)
+            return _Instant(sample, segment.offsets, None, 1.0, 0.0, 0.0)
         share, rate, bend = blend_shape(since_ns / segment.blend_ns)
         per_s = NS_PER_S / segment.blend_ns
         before = self._instant(index - 1, time_ns)
-        return _Instant(sample, plan.offsets, before, share, rate * per_s, bend * per_s * per_s)
+        return _Instant(sample, segment.offsets, before, share, rate * per_s, bend * per_s * per_s)
 
     def _weighted(self, index: int, robot: int, time_ns: int) -> dict[int, tuple[float, float, float]]:
         """A robot's edges, by the robots at their other ends: by how much the wanted distance is more than
@@ -298,7 +310,7 @@ def _blended(instant: _Instant, robot: int) -> Sample | None:
     if before is None:
         return x, y, vx, vy, ax, ay
     x0, y0, vx0, vy0, ax0, ay0 = before
-    _, _, _, share, rate, bend = instant
+    share, rate, bend = instant.share, instant.rate, instant.bend
     x, y, vx, vy = x - x0, y - y0, vx - vx0, vy - vy0
     return (
         x0 + share * x,

@@ -82,7 +82,7 @@ class Probe:
         node: the one; to be set before the simulation runs.
     """
 
-    node: Node
+    node: Any  # a Node
 
     def __init__(self, sleep_s: float) -> None:
         self._sleep_s = sleep_s
@@ -157,6 +157,7 @@ def probe(
         # Only now: its agents keep some of these functions.
         driven = simulation.Simulation(fleet)
         (probe.node,) = (agent for agent in driven.agents if agent.robot == ROBOT)
+        probe.node._ingress._decode = ingress.decode  # a process has nobody who has read it before
         for host in driven._hosts:
             if host.node is probe.node:
                 host.node = probe

@@ -17,7 +17,15 @@ from agent.control.hand import Hand
 from agent.control.peers.beliefs import Belief, own_doubt, rolled_on, stood_on
 from agent.control.peers.lanes import Lane
 from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.prediction import Prediction, coasting, following, slowed, unforced
+from agent.control.peers.prediction import (
+    Prediction,
+    Transition,
+    coasting,
+    following,
+    slowed,
+    transition,
+    unforced,
+)
 from agent.control.peers.rolling import (
     ROLL_ERROR,
     Rolls,
@@ -75,6 +83,8 @@ class Forecast:
         self.decay, self.most, self.speeding = decay, most, speeding
         self._rolls_on = rolls_on or {}
         self.epoch_ns = 0
+        self._step_of = 0.0, decay
+        self._step: Transition = transition(c1, c2, decay, 0.0)
 
     def following(
         self, message: HandState, then_ns: int, motion: Motion | None = None, *, slowly: float = inf
@@ -95,7 +105,12 @@ class Forecast:
         if since is None:  # it has a place only since its message
             since = then
         age = (then_ns - since_ns) * 1e-9
-        found = following(message, then, since, age, self._c1, self._c2, self.decay, self.most, self.speeding)
+        decay = self.decay
+        if age != self._step_of[0] or decay != self._step_of[1]:  # all that are heard in time are as old
+            self._step_of, self._step = (age, decay), transition(self._c1, self._c2, decay, age)
+        found = following(
+            message, then, since, age, self._c1, self._c2, decay, self.most, self.speeding, self._step
+        )
         return (
             found
             if slowly == inf or age * NS_PER_S <= UNSURE_NS

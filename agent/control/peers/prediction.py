@@ -94,6 +94,7 @@ def following(
     decay: float,
     most: float | None,
     speeding: float = 0.0,
+    step: Transition | None = None,
 ) -> Prediction:
     """A robot that follows the law, `age` seconds after its message.
 
@@ -105,9 +106,10 @@ def following(
         decay: of its constraint force, 1/s.
         most: speed limit (m/s) by which it makes for its place (N1), None without one.
         speeding: how fast it comes to that from far, 1/s, (N2).
+        step: `transition` of these, where it is known.
     """
     fx, fy, gx, gy = message.constraint_x, message.constraint_y, message.correction_x, message.correction_y
-    a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
+    a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age) if step is None else step
     x0, y0, vx0, vy0, _, _ = since
     x1, y1, vx1, vy1, ax1, ay1 = then
     ex, ey, edot_x, edot_y = message.x - x0, message.y - y0, message.vx - vx0, message.vy - vy0
