@@ -32,7 +32,6 @@ from agent.links import ingress
 from agent.messages.codec import decode, encode
 from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import HandState, Outgoing, PlantState
-from agent.node import Node
 from agent.supervision import outbox
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.situation import Situation
@@ -79,10 +78,10 @@ class Probe:
     """A node that is timed in a simulation; with `sleep_s` the process sleeps before each of its ticks.
 
     Attributes:
-        node: the one; to be set before the simulation runs.
+        node: the one (`agent.node.Node`); to be set before the simulation runs.
     """
 
-    node: Any  # a Node
+    node: Any
 
     def __init__(self, sleep_s: float) -> None:
         self._sleep_s = sleep_s
@@ -157,7 +156,7 @@ def probe(
         # Only now: its agents keep some of these functions.
         driven = simulation.Simulation(fleet)
         (probe.node,) = (agent for agent in driven.agents if agent.robot == ROBOT)
-        probe.node._ingress._decode = ingress.decode  # a process has nobody who has read it before
+        probe.node._ingress._decode = vars(ingress)["decode"]  # nobody in its process has read it before
         for host in driven._hosts:
             if host.node is probe.node:
                 host.node = probe
