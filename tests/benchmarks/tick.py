@@ -110,7 +110,7 @@ class Probe:
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         begun = time.perf_counter_ns()
-        out = self.node.tick(now_ns)
+        out: list[Outgoing] = self.node.tick(now_ns)
         self._spent_ns += time.perf_counter_ns() - begun
         if self.active and self.node.condition[0] == State.RUNNING.value:
             self.ticks_us.append(self._spent_ns / 1e3)
