@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from tests.hosts.host import Host, Setup
 from tests.hosts.hosts import Hosts
 from tests.hosts.programs import python_to_lend
 from tests.process.harness import wait_for
+from tests.realtime_here import may_raise_limits
 
 pytestmark = pytest.mark.timeout(400)
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
@@ -68,7 +68,7 @@ def test_units_lift_what_they_can_and_the_rest_is_said(
     assert f"robot {GRANTED}: realtime plant: SCHED_FIFO 42, core {CORE}, memory locked\n" in found
     assert f"robot {ORDINARY}: realtime: core {CORE}; {refused}" in found
 
-    if subprocess.run(["prlimit", "--rtprio=0:42", "true"], capture_output=True).returncode:
+    if not may_raise_limits():
         return  # this machine's root may raise no limit (CAP_SYS_RESOURCE): nor can a host's
     # What that file would do, without the restart of the computer.
     host = fleet.host_of(ORDINARY)

@@ -7,7 +7,6 @@ import os
 import resource
 import subprocess
 import sys
-from functools import cache
 from types import SimpleNamespace
 
 import pytest
@@ -15,6 +14,7 @@ import pytest
 from agent.runtime import realtime
 from agent.runtime.realtime_granted import Granted, from_json
 from tests.process.harness import ROOT
+from tests.realtime_here import may_raise_limits, need_realtime, without
 
 ASKS = [sys.executable, "-P", "-m", "agent.runtime.realtime"]
 BEGIN = """
@@ -26,20 +26,6 @@ def policy(thread):
 def thread(call):
     made = threading.Thread(target=call); made.start(); made.join()
 """
-
-
-def without(*names: str) -> list[str]:
-    """Begin of a command line that takes capabilities away."""
-    return ["setpriv", "--bounding-set", ",".join(f"-{name}" for name in names)] if os.geteuid() == 0 else []
-
-
-@cache
-def can_be_realtime() -> bool:
-    """Whether this process may start one under SCHED_FIFO."""
-    return subprocess.run(["chrt", "-f", "1", "true"], capture_output=True).returncode == 0
-
-
-needs_realtime = pytest.mark.skipif("not can_be_realtime()", reason="`chrt -f 1 true` is refused here")
 
 
 def run(text: str, *before: str) -> str:
@@ -62,8 +48,8 @@ def asked(*arguments: str, before: tuple[str, ...] = ()) -> Granted:
     return found
 
 
-@needs_realtime
 def test_it_is_granted_as_it_was_asked_for() -> None:
+    need_realtime()
     core = min(os.sched_getaffinity(0))
     found = asked("--role", "plant", "--cpus", str(core))
     assert (found.fifo, found.cpus) == (42, (core,))
@@ -102,21 +88,16 @@ def test_memory_is_not_locked_up_to_a_limit(
     assert len(called) == locks
 
 
-@cache
-def raises_limits() -> bool:
-    """Whether this process may raise hard limits."""
-    return subprocess.run(["prlimit", "--rtprio=0:42", "true"], capture_output=True).returncode == 0
-
-
-@pytest.mark.skipif("not raises_limits()", reason="this process may raise no limit (CAP_SYS_RESOURCE)")
 def test_a_limit_alone_is_enough_and_is_raised_as_far_as_it_may() -> None:
+    if not may_raise_limits():
+        pytest.skip("this process may raise no limit (CAP_SYS_RESOURCE)")
     before = ("prlimit", "--rtprio=0:42", "--memlock=0:unlimited", *without("sys_nice", "ipc_lock"))
     found = asked("--role", "plant", before=before)
     assert (found.fifo, found.locked) == (42, True)
 
 
-@needs_realtime
 def test_threads_that_carry_messages_get_it_and_what_starts_later_does_not() -> None:
+    need_realtime()
     told = run(
         """
 real = RealTime(ProcessSection(realtime=True), 'agent', lambda _: None)
@@ -132,9 +113,9 @@ print('child', subprocess.run(['chrt', '-p', '0'], capture_output=True, text=Tru
     assert told == f"links ({fifo}, 40)\nloop ({fifo}, 41)\nlater ({other}, 0)\nchild SCHED_OTHER\n"
 
 
-@needs_realtime
 def test_threads_that_are_there_already_get_it_too() -> None:
     """As the one by which a bridge reads its port."""
+    need_realtime()
     told = run(
         """
 go = threading.Event()
@@ -148,9 +129,9 @@ go.set(); reads.join()
     assert told == f"port ({os.SCHED_FIFO}, 40)\n"
 
 
-@needs_realtime
 def test_one_that_runs_on_end_gives_it_up_and_goes_on() -> None:
     """With the time of a few ticks of the scheduler, and without the right to take it back."""
+    need_realtime()
     told = run(
         """
 from agent.runtime import realtime
@@ -166,8 +147,8 @@ print('loop', policy(0))
     assert told.endswith(f"loop ({os.SCHED_OTHER}, 0)\n")
 
 
-@needs_realtime
 def test_one_that_hears_no_signal_is_killed_by_the_kernel() -> None:
+    need_realtime()
     done = subprocess.run(
         [
             sys.executable, "-P", "-c",
