@@ -63,29 +63,29 @@ class Found:
 
     agents: Count
     plants: Count
-    lost: int = 0
-    """Plant states that the recording lacks, though their ticks were made."""
+    heard_s: float = 0.0
+    driven_s: float = 0.0
+    """How much of how long drives the recording has of robots' agents: the command has what they leave."""
 
 
 def add(found: Found, recording: Recording) -> None:
-    """Counts the ticks of one drive."""
+    """Counts the ticks of one drive: those that agents say, and plants' by gaps in their states, which are
+    also where the command did not keep up."""
     period_s = recording.fleet.period_ns / 1e9
     for robot in recording.robots.values():
         status = robot.status
         here = np.flatnonzero((status.t > SETTLED_S) & (status.t <= recording.end_s))
+        found.driven_s += recording.end_s - SETTLED_S
         if len(here) > 1:
             first, last = int(here[0]), int(here[-1])
             missed = status.counters[last].get("overruns", 0) - status.counters[first].get("overruns", 0)
-            span = round((status.t[last] - status.t[first]) / period_s)
+            span_s = float(status.t[last] - status.t[first])
+            found.heard_s += span_s
             found.agents.missed += missed
-            found.agents.made += max(0, span - missed)
-        times = robot.plant.t
-        here = (times > SETTLED_S) & (times <= recording.end_s)
-        steps = np.rint(np.diff(times[here]) / period_s).astype(int)
-        said = np.diff(robot.plant.sequences[here])
-        found.plants.made += int(said.sum())
-        found.plants.missed += int((steps - said).clip(min=0).sum())
-        found.lost += int((said - 1).clip(min=0).sum())
+            found.agents.made += max(0, round(span_s / period_s) - missed)
+        times = robot.plant.t[(robot.plant.t > SETTLED_S) & (robot.plant.t <= recording.end_s)]
+        found.plants.made += len(times)
+        found.plants.missed += int(np.rint(np.diff(times) / period_s - 1.0).clip(min=0).sum())
 
 
 @contextmanager
@@ -183,7 +183,8 @@ def _result(found: dict[tuple[int, str], Found], minutes: float, what: str, stol
                 name = f"ticks missed by {role} in real time, {rate_hz} Hz"
                 figures.append(Figure(name, count.percent, "%", LIMIT, note=str(count)))
         cells = [f"{number(count.percent)} % ({count})" for count in (each.agents, each.plants)]
-        rows.append([f"{rate_hz} Hz, {kind}", *cells, str(each.lost)])
-    head = ["", "agents missed", "plants missed", "not recorded"]
+        heard = f"{100.0 * each.heard_s / each.driven_s:.0f} %" if each.driven_s else "-"
+        rows.append([f"{rate_hz} Hz, {kind}", *cells, heard])
+    head = ["", "agents missed", "plants missed", "heard of agents"]
     note = f"{minutes:g} min each, 12 processes, {os.cpu_count()} cores, beside {what}; {stolen:.1%} stolen"
     return Result(figures, [note, *table(head, rows)])
