@@ -305,8 +305,8 @@ def _of_kind(
 def digest(fleet: Fleet) -> str:
     """16 hex digits over what all robots must agree on.
 
-    That is everything but where processes run and how they reach each other, the description, what is
-    recorded, and how a vehicle's own computer reaches it.
+    That is everything but where and how processes run and how they reach each other, the description, what
+    is recorded, and how a vehicle's own computer reaches it.
     """
     global _last_digest
     before, found = _last_digest
@@ -318,7 +318,7 @@ def digest(fleet: Fleet) -> str:
 
 def _digest(fleet: Fleet) -> str:
     table = to_dict(fleet)
-    for key in ("network", "host", "recording"):
+    for key in ("network", "host", "recording", "process"):
         table.pop(key, None)
     del table["fleet"]["description"]
     if fleet.control.send == "periodic":  # as of a file from before there was another way

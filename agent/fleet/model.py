@@ -29,6 +29,7 @@ from agent.fleet.hosts import (
     RecordingSection,
 )
 from agent.fleet.orders import OrderSection
+from agent.fleet.process_section import ProcessSection
 from agent.fleet.routers import RouterPlace, routers_of
 from agent.fleet.safety import (
     BEACON_HORIZONS,
@@ -141,6 +142,13 @@ class Fleet:
     recording: RecordingSection = field(
         default_factory=RecordingSection,
         metadata=about("What robots' computers record. Not part of the digest."),
+    )
+    process: ProcessSection = field(
+        default_factory=ProcessSection,
+        metadata=about(
+            "How agents and plants run on their computers (`handfast simulate` has none). Not part of the "
+            "digest."
+        ),
     )
     datum: DatumSection | None = field(
         default=None,

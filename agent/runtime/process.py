@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from agent.common.errors import Error
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
@@ -34,6 +34,9 @@ from agent.security.private_files import KeyFileError
 from agent.transport.bus import Bus, BusError, is_opening
 from agent.transport.listening_gate import Gate
 from agent.transport.sealed_bus import bus_for
+
+if TYPE_CHECKING:
+    from agent.runtime.realtime import RealTime
 
 GARBAGE: Final = 5_000
 """The collector looks each time that so many more objects are there than were: a loop makes hardly any that
@@ -165,6 +168,15 @@ def _store(options: argparse.Namespace, role: str, log: Log) -> AbstractContextM
         raise StartError(f"cannot keep operators' orders: {error}") from None
 
 
+def _realtime(fleet: Fleet, role: str, log: Log) -> RealTime | None:
+    """Real time, where the fleet file asks for it; else nothing of it is loaded."""
+    if not fleet.process.realtime:
+        return None
+    from agent.runtime.realtime import RealTime
+
+    return RealTime(fleet.process, role, log)
+
+
 def _run(
     options: argparse.Namespace,
     role: str,
@@ -200,34 +212,35 @@ def _run(
     node, listen, connect, ticks_from, close, beside = start(fleet, options.robot, clock, log)
     robots = options.robot, *beside
     node.runs_by(clock.machine)
+    realtime = _realtime(fleet, role, log)
     try:
-        with (
-            open_bus(
-                fleet,
-                options.robot,
-                options.keys,
-                log,
-                listen=listen,
-                connect=connect,
-                near={key for robot in robots for key in key_expressions.near(fleet.fleet.name, robot)},
-                go_on_waiting=waiting,
-                is_wanted=lambda: not asked(),
-                in_batches=True,
-            ) as bus,
-            _store(options, role, log) as store,
-        ):
-            keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
-            appear(node, bus, clock, keeper)
-            started()
-            service.ready()
-            with Gate(len(fleet.robots)) as gate:
-                if gate.trouble:
-                    log(gate.trouble)
-                names = names_of(fleet, options.robot)
-                loop(node, bus, clock, shutdown, log, service, keeper, gate, names, ticks_from)
-            _say_rejected(node, log)
-            bus.leave()
-            return True
+        with open_bus(
+            fleet,
+            options.robot,
+            options.keys,
+            log,
+            listen=listen,
+            connect=connect,
+            near={key for robot in robots for key in key_expressions.near(fleet.fleet.name, robot)},
+            go_on_waiting=waiting,
+            is_wanted=lambda: not asked(),
+            in_batches=True,
+        ) as bus:
+            if realtime is not None:
+                realtime.lead()
+            with _store(options, role, log) as store:
+                keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
+                appear(node, bus, clock, keeper)
+                started()
+                service.ready()
+                with Gate(len(fleet.robots)) as gate:
+                    if gate.trouble:
+                        log(gate.trouble)
+                    names = names_of(fleet, options.robot)
+                    loop(node, bus, clock, shutdown, log, service, keeper, gate, names, ticks_from)
+                _say_rejected(node, log)
+                bus.leave()
+                return True
     finally:
         close()
 

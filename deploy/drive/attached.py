@@ -9,6 +9,7 @@ from typing import Final
 from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
+from agent.runtime.realtime_granted import Granted
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.drive.preconditions import refusal
@@ -96,6 +97,10 @@ class Attached:
     def carry_out(self, action: Action, pose: Pose | None) -> bool:
         """Nothing is done to processes that are others'."""
         return False
+
+    def granted(self) -> dict[Process, Granted | None]:
+        """Not known of processes on other machines: `handfast preflight` asks these."""
+        return {}
 
     def resume_all(self) -> None:
         """None was paused."""

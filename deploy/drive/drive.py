@@ -18,6 +18,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots, some
+from deploy.drive import realtime
 from deploy.drive.fleet_state import FleetState, Record
 from deploy.drive.live_view import View
 from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, why
@@ -156,6 +157,9 @@ class Drive:
             if alive and fleet_state.is_ready and self._checks.complete(now_ns):
                 for warning in self._checks.warnings():
                     self._view.say(f"warning: {warning}")
+                if self._fleet.process.realtime:
+                    for sentence in realtime.in_words(self._fleet, self._processes.granted()):
+                        self._view.say(sentence)
                 return True
             if waited_s > timeout_s:
                 self._fail(f"Not ready within {timeout_s:.0f} s: {fleet_state.waits(missing)}.")

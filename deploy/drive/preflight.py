@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -23,8 +23,9 @@ from agent.runtime.clock import RealClock
 from agent.transport.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
+from deploy.drive import realtime
 from deploy.drive.preflight_matrix import matrix
-from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
+from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks, sentences
 from deploy.processes.local import VEHICLE, Processes
 from deploy.processes.placement import Vehicle
 from deploy.recording.run_files import FLEET_FILE
@@ -42,7 +43,7 @@ WIDTH: Final = 100
 SIMULATED: Final = "simulated: nothing to check"
 
 Found = dict[int, list[Line]]
-"""The lines of each robot, in the fleet's order; of a simulated one there are none."""
+"""The lines of each robot, in the fleet's order; of a simulated one there are none of a vehicle."""
 
 
 class Preflight:
@@ -75,7 +76,13 @@ class Preflight:
                     self._look(processes)
                 finally:
                     processes.end(END_TIMEOUT_S)
-        return {robot: self._lines(robot) for robot in self._fleet.ids}
+        found = {robot: self._lines(robot) for robot in self._fleet.ids}
+        section = self._fleet.process
+        if section.realtime and not self._interrupt.count:
+            tried = realtime.trial(section)
+            granted = {(robot, role): tried[role] for robot in self._fleet.ids for role in tried}
+            add(found, realtime.lines(section, granted, as_units=False))
+        return found
 
     def _lines(self, robot: int) -> list[Line]:
         if robot in self._died:
@@ -108,6 +115,17 @@ class Preflight:
                     return
 
 
+def add(found: Found, more: Mapping[int, Sequence[Line]]) -> None:
+    """Adds lines of robots to those that there are."""
+    for robot, lines in more.items():
+        found[robot] = [*found[robot], *lines]
+
+
+def is_simulated(lines: Sequence[Line]) -> bool:
+    """Whether a robot's lines say nothing of a vehicle."""
+    return all(map(realtime.is_realtime, lines))
+
+
 def death(role: str, how: str, last_lines: Sequence[str]) -> Line:
     """The line for a bridge or a simulated rover that ended."""
     words = f": {last_lines[-1]}" if last_lines else ""
@@ -124,8 +142,8 @@ def show(found: Found, stream: TextIO, *, each: bool = False) -> None:
     """One table for all vehicles; of one, or for `each`, a table with all that was found: with colours on a
     terminal, in plain columns elsewhere."""
     console = Console(file=stream) if stream.isatty() else None
-    simulated = [robot for robot, lines in found.items() if not lines]
-    vehicles = {robot: lines for robot, lines in found.items() if lines}
+    simulated = {robot: lines for robot, lines in found.items() if is_simulated(lines)}
+    vehicles = {robot: lines for robot, lines in found.items() if robot not in simulated}
     if len(vehicles) > 1 and not each:
         for text in matrix(vehicles, WIDTH if console is None else console.width):
             print(text, file=stream)
@@ -135,6 +153,8 @@ def show(found: Found, stream: TextIO, *, each: bool = False) -> None:
             print(f"robot {robot}\n" + "\n".join(columns(lines)), file=stream)
         else:
             console.print(_table(robot, lines))
+    for sentence in sentences((line, robot) for robot, lines in simulated.items() for line in lines):
+        print(sentence, file=stream)
     if simulated:
         print(f"{robots(simulated)}  {SIMULATED}", file=stream)
     print(summary(found), file=stream)
@@ -183,7 +203,7 @@ def to_json(fleet: str, found: Found) -> str:
         "fleet": fleet,
         "passed": passed(found),
         "robots": [
-            {"robot": robot, "simulated": not lines, "lines": [line._asdict() for line in lines]}
+            {"robot": robot, "simulated": is_simulated(lines), "lines": [line._asdict() for line in lines]}
             for robot, lines in found.items()
         ],
     }

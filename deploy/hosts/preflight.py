@@ -18,12 +18,14 @@ from agent.messages import key_expressions
 from agent.messages.types import Checks, Message
 from agent.transport.bus import BusError
 from deploy.console.interrupt import Interrupt
-from deploy.drive.preflight import BOOT_TIMEOUT_S, TIMEOUT_S, Found
+from deploy.drive.preflight import BOOT_TIMEOUT_S, TIMEOUT_S, Found, add
 from deploy.drive.vehicle_checks import BLOCKING, Line, VehicleChecks
+from deploy.hosts import realtime
 from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.jobs import HostJobs
 from deploy.hosts.view import FAILED, Row
+from deploy.inventory.hosts import robots_on
 from deploy.session.session import INBOX, POLL_S, Session
 
 QUIET_S: Final = 4.0
@@ -68,7 +70,27 @@ class HostsPreflight:
                     if not self._interrupt.count:
                         print(f"handfast: {error}", file=sys.stderr)
                 self._listen(session, stack)
-        return {robot: self._lines(robot) for robot in self._fleet.ids}
+        found = {robot: self._lines(robot) for robot in self._fleet.ids}
+        if self._fleet.process.realtime and not self._interrupt.count:
+            add(found, self._realtime())
+        return found
+
+    def _realtime(self) -> dict[int, list[Line]]:
+        """What processes have been granted of real time, as their hosts say."""
+        found: dict[int, list[Line]] = {}
+        hosts = [host for host in self._fleet.hosts if robots_on(self._fleet, host)]
+        with HostJobs(
+            self._fleet, hosts, lambda connection, _: found.update(realtime.lines_on(connection, self._fleet))
+        ) as jobs:
+            deadline = time.monotonic() + HOSTS_TIMEOUT_S
+            while jobs.busy and time.monotonic() < deadline and not self._interrupt.count:
+                time.sleep(POLL_S)
+            jobs.end(TOO_LATE)
+        for row in jobs.rows.values():
+            if row.state == FAILED:
+                why = f"its host {row.host} cannot be asked: {row.step}"
+                found |= realtime.unknown([robot for robot in row.robots if robot not in found], why)
+        return found
 
     def _feed(self, now_ns: int, key: str, message: Message) -> None:
         self._checks.feed(now_ns, key, message)

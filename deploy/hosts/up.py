@@ -27,6 +27,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
 from deploy.console.wording import some
 from deploy.drive.preconditions import clock, older_mission, why
+from deploy.hosts import realtime
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.artifacts.bundle import program_archive
@@ -347,6 +348,10 @@ class BringUp:
         prepared = prepare(connection, self.fleet, self._text, self._program, say, self._keys, before_changes)
         self.warnings += [f"{row.host}: {warning}" for warning in prepared.warnings]
         what = self._start(row, connection, prepared)
+        if self.fleet.process.realtime:
+            row.step = "looking what real time was granted"
+            refused = realtime.warnings(realtime.lines_on(connection, self.fleet))
+            self.warnings += [f"{row.host}: {warning}" for warning in refused]
         row.step = "looking for what is left"
         self.warnings += [f"{row.host}: {warning}" for warning in self._left_over(connection, prepared)]
         row.done(f"up, {what}")

@@ -15,6 +15,7 @@ from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.runtime.order_store import order_file
 from agent.runtime.process import log_name
+from agent.runtime.realtime_granted import Granted, look
 from deploy.check.load.sharing import sharing
 from deploy.console.wording import robots
 from deploy.faults.process_actions import Action, Process
@@ -192,6 +193,16 @@ class Processes:
         else:
             child.resume()
         return True
+
+    def granted(self) -> dict[Process, Granted | None]:
+        """What its agents and plants have been granted of real time that run now, by looking at them."""
+        pids = {
+            process: self._children[self._shares.get(process, process)].pid
+            for process in self._wanted
+            if self.up(*process)
+        }
+        looked = {pid: look(pid) for pid in set(pids.values())}
+        return {process: looked[pid] for process, pid in pids.items()}
 
     def resume_all(self) -> None:
         """Lets go on what rules have paused."""

@@ -16,7 +16,7 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import PlantState
-from deploy.check.load.capacity import ROBOTS_MIN, Machine, is_refused, overload
+from deploy.check.load.capacity import Machine, is_looked_at, is_refused, overload
 
 WINDOWS: Final = 6
 ROUNDS: Final = 20
@@ -106,7 +106,7 @@ def _siblings(cpus: Path, cpu: int) -> list[int]:
 
 def overload_here(fleet: Fleet) -> str:
     """Why this machine does not carry `fleet` as processes, "" where it does; small ones cost nothing."""
-    return overload(fleet, measured_for(fleet)) if len(fleet.robots) >= ROBOTS_MIN else ""
+    return overload(fleet, measured_for(fleet)) if is_looked_at(fleet) else ""
 
 
 def cores() -> float:

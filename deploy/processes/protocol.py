@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
 
 from agent.control.hand import Pose
+from agent.runtime.realtime_granted import Granted
 from deploy.faults.process_actions import Action, Process
 
 
@@ -61,6 +62,10 @@ class FleetProcesses(Protocol):
 
     def carry_out(self, action: Action, pose: Pose | None) -> bool:
         """Does what a rule orders; False when nothing was done. `pose`: where the robot's body was seen."""
+        ...
+
+    def granted(self) -> Mapping[Process, Granted | None]:
+        """What processes have been granted of real time, of those that can be looked at from here."""
         ...
 
     def resume_all(self) -> None:

@@ -28,6 +28,7 @@ NAMES: Final = (
     "startup",
     "reactions",
     "soak",
+    "realtime",
     "virtual_time",
     "load",
     "links",

@@ -34,9 +34,9 @@ def _check(options: argparse.Namespace) -> int:
 
 def _capacity(fleet: Fleet) -> Sequence[Finding]:
     """Whether this machine carries a fleet that `handfast run` would have on it."""
-    from deploy.check.load.capacity import ROBOTS_MIN, check_capacity
+    from deploy.check.load.capacity import check_capacity, is_looked_at
 
-    if len(fleet.robots) < ROBOTS_MIN or any(robot.host for robot in fleet.robots):
+    if not is_looked_at(fleet) or any(robot.host for robot in fleet.robots):
         return ()
     from deploy.processes.machine import measured_for
 

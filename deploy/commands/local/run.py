@@ -85,14 +85,14 @@ def _refuse_links(options: argparse.Namespace, fleet: Fleet) -> None:
 
 
 def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
-    """Says how many robots like those of a large fleet this machine carries.
+    """Says how many robots like those of a large fleet, or of one in real time, this machine carries.
 
     Raises:
         InputError: these are more, and the options do not say to drive all the same.
     """
-    from deploy.check.load.capacity import ROBOTS_MIN, describe_capacity, overload
+    from deploy.check.load.capacity import describe_capacity, is_looked_at, overload
 
-    if len(fleet.robots) < ROBOTS_MIN:
+    if not is_looked_at(fleet):
         return
     from deploy.processes.machine import measured, measured_for
 

@@ -29,6 +29,7 @@ class Needs:
             where a connection is locked (`bridges.mavlink.transport.lock`).
         others_code: runs a plugin: nobody knows what that needs of memory.
         others_hardware: runs a plant of others, which may be on a bus of another kind, or in ``/sys``.
+        realtime: asks for SCHED_FIFO (`agent.runtime.realtime`).
     """
 
     writes: Sequence[str] = ()
@@ -36,6 +37,7 @@ class Needs:
     devices: bool = False
     others_code: bool = False
     others_hardware: bool = False
+    realtime: bool = False
 
 
 def filters(needs: Needs) -> Iterator[str]:
@@ -48,7 +50,8 @@ def filters(needs: Needs) -> Iterator[str]:
     families += ["AF_CAN", "AF_BLUETOOTH"] if needs.others_hardware else []
     yield f"RestrictAddressFamilies={' '.join(families)}"
     yield "RestrictNamespaces=yes"
-    yield "RestrictRealtime=yes"
+    if not needs.realtime:
+        yield "RestrictRealtime=yes"
     yield "RestrictSUIDSGID=yes"
     yield "LockPersonality=yes"
     yield "KeyringMode=private"

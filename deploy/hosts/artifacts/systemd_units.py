@@ -142,7 +142,8 @@ def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
         reads.append(f"{places.keys}/{of_robot(name, robot).common_name}.crt")
     words, needs = arguments(fleet, robot, role, places), _needs(fleet, robot, role, places)
     unit = unit_name(name, robot, role)
-    return "\n".join(_lines(unit, f"{name}: robot {robot}'s {role}", role, words, reads, needs))
+    limits = _realtime_limits(fleet) if needs.realtime else ()
+    return "\n".join(_lines(unit, f"{name}: robot {robot}'s {role}", role, words, reads, needs, limits))
 
 
 def units(fleet: Fleet, robot: int, places: Places) -> dict[str, str]:
@@ -177,6 +178,13 @@ def router_units(fleet: Fleet, host: HostSection, places: Places) -> dict[str, s
     return found
 
 
+def _realtime_limits(fleet: Fleet) -> Sequence[str]:
+    """What its process may ask for. It asks itself (`agent.runtime.realtime`): where a user's systemd may not
+    grant a CPUSchedulingPolicy= it does not start the unit at all (214/SETSCHEDULER), while of limits above
+    its own it gives as much as it has; and an interpreter that starts need not run before everything else."""
+    return f"LimitRTPRIO={fleet.process.priority_max}", "LimitMEMLOCK=infinity"
+
+
 def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:
     kind = fleet.robot(robot).kind
     if role == RECORDER:
@@ -184,17 +192,26 @@ def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:
     if role == ADMISSION:
         return Needs([places.state], [] if places.keys is None else [places.keys])
     if role == "agent":
-        return Needs([places.orders], others_code=fleet.control.law is not None)
+        return Needs(
+            [places.orders], others_code=fleet.control.law is not None, realtime=fleet.process.realtime
+        )
     return Needs(
         [places.orders, f"~/{sandboxing.BRIDGE_STATE}" if kind.vehicle else places.state],
         devices=kind.vehicle,
         others_code=kind.is_plugin,
         others_hardware=kind.is_plugin,
+        realtime=fleet.process.realtime,
     )
 
 
 def _lines(
-    unit: str, about: str, role: str, words: Sequence[str], reads: Sequence[str], needs: Needs
+    unit: str,
+    about: str,
+    role: str,
+    words: Sequence[str],
+    reads: Sequence[str],
+    needs: Needs,
+    limits: Sequence[str] = (),
 ) -> Iterator[str]:
     # Read again by deploy.hosts.remote_program: tells whether what runs is what is meant, and has read what
     # is there; which folders there must be.
@@ -224,6 +241,7 @@ def _lines(
     yield f"TasksMax={TASKS_MAX}"
     yield f"LimitNOFILE={FILES_MAX}"
     yield "LimitCORE=0"
+    yield from limits
     yield "OOMPolicy=stop"
     yield "UMask=0077"
     yield f"SyslogIdentifier={identifier(unit)}"

@@ -94,9 +94,9 @@ def ups(fleet: Fleet, host: HostSection, monkeypatch: pytest.MonkeyPatch) -> Ups
     return there
 
 
-@pytest.mark.parametrize("security", ["mtls", "off"])
-def test_a_host_gets_what_up_brings_it(security: str, monkeypatch: pytest.MonkeyPatch):
-    pair = fleet(network={"security": security})
+@pytest.mark.parametrize(("security", "realtime"), [("mtls", False), ("off", False), ("off", True)])
+def test_a_host_gets_what_up_brings_it(security: str, realtime: bool, monkeypatch: pytest.MonkeyPatch):
+    pair = fleet(network={"security": security}, process={"realtime": realtime})
     found = written(pair)
     of_all = json.loads(found[f"group_vars/{GROUP}.json"])
     version = of_all["handfast_bundles"][0]["version"]
@@ -108,6 +108,7 @@ def test_a_host_gets_what_up_brings_it(security: str, monkeypatch: pytest.Monkey
         got = {name: rendered(text, version) for row in by_robot for name, text in row.items()}
         assert got == there.units
         assert len(got) == 9
+        assert sum("LimitRTPRIO=42" in text for text in got.values()) == (6 if realtime else 0)
         assert not told["handfast_router_units"]
         assert of_all["handfast_fleet_path"] in there.files
 

@@ -8,6 +8,7 @@ import pytest
 
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
+from agent.fleet.process_section import ProcessSection
 from agent.formation.geometry import resolved
 from deploy.analysis.lattice import lattice
 from deploy.check.check import check
@@ -76,6 +77,16 @@ def test_small_fleets_are_never_too_many() -> None:
     assert overload(fleet(ROBOTS_MIN - 1), slow) == ""
     assert list(check_capacity(fleet(ROBOTS_MIN - 1), slow)) == []
     assert overload(fleet(ROBOTS_MIN), slow) != ""
+
+
+def test_a_small_one_in_real_time_is_looked_at_as_a_large_one_is() -> None:
+    """It would leave nothing to the command that has to stop it."""
+    few = replace(fleet(ROBOTS_MIN - 1), process=ProcessSection(realtime=True))
+    slow = Machine(1.0, 0.1)
+    assert "need about" in overload(few, slow)
+    (finding,) = check_capacity(few, slow)
+    assert finding.level == "warning"
+    assert overload(few, Machine(64.0, 1.0)) == ""
 
 
 def test_a_fleet_that_is_too_large_is_told_what_fits_and_that_fits() -> None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import pytest
 
 from agent.fleet.model import Fleet
+from agent.fleet.process_section import ProcessSection
+from agent.messages.key_expressions import ROLES
 from deploy.hosts import remote_program
 from deploy.hosts.artifacts import sandboxing
 from deploy.hosts.artifacts.sandboxing import Needs, filters, namespaces
@@ -92,3 +94,18 @@ def test_what_need_not_work_can_be_taken_out_and_the_rest_stays() -> None:
     assert not {line.partition("=")[0] for line in tried} & settings(found).keys()
     assert set(filters(Needs())) <= set(found.splitlines())
     assert len(text.splitlines()) - len(found.splitlines()) == len(tried) + 1
+
+
+def test_only_who_asks_for_real_time_may_have_it() -> None:
+    """And its recorder and proxy have no use for it."""
+    asking = replace(fleet(), process=ProcessSection(realtime=True))
+    for robot in (SIMULATED, BRIDGED):
+        for role in roles(asking):
+            plain, found = said(robot, role), said(robot, role, asking)
+            assert plain["RestrictRealtime"] == "yes"
+            assert "LimitRTPRIO" not in plain
+            if role not in ROLES:
+                assert found == plain
+                continue
+            del plain["RestrictRealtime"]
+            assert found == plain | {"LimitRTPRIO": "42", "LimitMEMLOCK": "infinity"}

@@ -1,0 +1,41 @@
+"""What a fleet file says of how processes run on their computers."""
+
+from __future__ import annotations
+
+import pytest
+import tomli_w
+
+from agent.fleet.loading import digest, parse_fleet, to_dict
+from agent.fleet.model import Fleet, FleetError
+from agent.fleet.process_section import ProcessSection
+from tests.unit.agent.fleet.test_hosts import FLEET
+
+
+def fleet(more: str = "") -> Fleet:
+    return parse_fleet(FLEET % (more, "", ""), source="here")
+
+
+def test_nobody_asks_for_real_time_who_does_not_say_so() -> None:
+    assert not fleet().process.realtime
+    assert not fleet("[process]\ncpus = [1]").process.realtime
+
+
+def test_a_plant_is_above_its_agent_and_both_above_their_links() -> None:
+    section = fleet("[process]\nrealtime = true\npriority = 60").process
+    assert section.priority < section.priority_of("agent") < section.priority_of("plant")
+    assert section.priority_of("plant") == section.priority_max
+    assert ProcessSection(priority=97).priority_max == 99
+    with pytest.raises(FleetError, match=r"process.priority: must be between 1 and 97, got 98"):
+        fleet("[process]\npriority = 98")
+
+
+def test_cores_are_numbers_and_bad_ones_are_named() -> None:
+    assert fleet("[process]\ncpus = [2, 3]").process.cpus == (2, 3)
+    with pytest.raises(FleetError, match=r"process.cpus\[2\]: must be between 0 and 1023, got -1"):
+        fleet("[process]\ncpus = [0, -1]")
+
+
+def test_robots_need_not_agree_on_it_and_it_comes_back_from_its_file() -> None:
+    asks = fleet("[process]\nrealtime = true\ncpus = [0]")
+    assert digest(asks) == digest(fleet())
+    assert parse_fleet(tomli_w.dumps(to_dict(asks)), source="again") == asks

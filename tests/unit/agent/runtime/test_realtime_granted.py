@@ -1,0 +1,108 @@
+"""What is found and said of real time that processes have."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from agent.fleet.process_section import ProcessSection
+from agent.runtime import realtime_granted
+from agent.runtime.realtime_granted import Granted, cores, cpu_list, from_json, look, main, said, to_json
+
+ASKED = ProcessSection(realtime=True, priority=40)
+ALL = Granted(41, (0, 1), (0, 1), locked=True, rtprio=42, memlock=-1, privileged=False)
+NOTHING = Granted(0, (0, 1), (0, 1), locked=False, rtprio=0, memlock=8 << 20, privileged=False)
+
+
+def words(granted: Granted | None, section: ProcessSection = ASKED, *, as_unit: bool = False) -> str:
+    return str(said(section, "agent", granted, as_unit=as_unit))
+
+
+def test_all_that_was_asked_for_is_said_without_advice() -> None:
+    assert words(ALL) == "SCHED_FIFO 41, cores 0-1, memory locked"
+
+
+@pytest.mark.parametrize(
+    ("as_unit", "advice"),
+    [
+        (False, ("- rtprio 42`", "- memlock unlimited`", "/etc/security/limits.d/", "log in anew")),
+        (True, ("user@.service.d/handfast.conf", "LimitRTPRIO=42", "LimitMEMLOCK=infinity", "restart")),
+    ],
+)
+def test_limits_that_refuse_it_are_named_with_what_would_be_right(
+    as_unit: bool, advice: tuple[str, ...]
+) -> None:
+    found = words(NOTHING, as_unit=as_unit)
+    assert found.startswith(
+        "cores 0-1; SCHED_FIFO refused: RLIMIT_RTPRIO is 0, 42 is needed; memory not locked: RLIMIT_MEMLOCK "
+        "is 8192 kB, it has to be unlimited ("
+    )
+    assert all(part in found for part in advice), found
+    assert found.count("/handfast.conf") == 1, "of two limits it is said once"
+
+
+@pytest.mark.parametrize("refused", [NOTHING._replace(rtprio=99), NOTHING._replace(privileged=True)])
+def test_who_may_and_has_not_is_told_of_sandboxes_and_control_groups(refused: Granted) -> None:
+    found = words(refused._replace(locked=True))
+    assert "its limits allow it" in found
+    assert "cpu.rt_runtime_us" in found
+    assert "limits.d" not in found
+
+
+def test_less_than_was_asked_for_is_not_all() -> None:
+    plant = said(ASKED, "plant", ALL, as_unit=False)
+    assert plant.advice, "41 is an agent's"
+    assert "memory not locked" in words(ALL._replace(locked=False))
+
+
+def test_cores_that_are_not_there_are_said_and_which_are() -> None:
+    pinned = ProcessSection(realtime=True, cpus=(1, 7))
+    found = words(ALL._replace(cpus=(1,)), pinned)
+    assert "core 1, memory locked; not on cores 1, 7 (correct process.cpus: there are cores 0-1" in found
+    assert not said(pinned, "agent", ALL._replace(cpus=(1, 7)), as_unit=False).advice
+
+
+def test_what_cannot_be_looked_at_is_no_grant() -> None:
+    assert said(ASKED, "agent", None, as_unit=False).advice
+
+
+def test_lists_of_cores_are_read_and_written_as_the_kernel_does() -> None:
+    assert cpu_list("0-2,6\n") == (0, 1, 2, 6)
+    assert cores((6, 0, 2, 1)) == "cores 0-2, 6"
+    assert cores((3,)) == "core 3"
+    with pytest.raises(ValueError, match="invalid"):
+        cpu_list("")
+
+
+def test_a_process_is_looked_at_while_it_lives() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", "input()"],
+        stdin=subprocess.PIPE,
+        preexec_fn=lambda: os.sched_setaffinity(0, {0}),
+    ) as child:
+        found = look(child.pid)
+        child.communicate(b"\n")
+    assert found is not None
+    assert (found.fifo, found.cpus, found.locked) == (0, (0,), False)
+    assert set(found.cpus) <= set(found.there)
+    assert look(child.pid) is None
+
+
+def test_what_is_printed_for_who_looks_over_ssh_is_read_back(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(os.getpid()), "999999999"]) == 0
+    mine, gone = map(json.loads, capsys.readouterr().out.splitlines())
+    assert from_json(mine) == look(os.getpid())
+    assert from_json(gone) is None
+    assert from_json(json.loads(to_json(ALL))) == ALL
+    for wrong in ({}, {**ALL._asdict(), "cpus": 7}, [], "x"):
+        with pytest.raises(ValueError, match=r"no answer about real time|invalid literal"):
+            from_json(wrong)
+
+
+def test_a_user_without_a_name_is_named_by_what_he_has_to_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(realtime_granted.os, "getuid", lambda: 4_000_000)
+    assert "`USER - rtprio 42`" in words(NOTHING)

@@ -1,0 +1,112 @@
+"""What a preflight and a run say of real time, by what processes have."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
+from agent.fleet.process_section import ProcessSection
+from agent.runtime.realtime_granted import Granted
+from deploy.cli import main
+from deploy.console.data_files import FLEETS
+from deploy.drive import realtime
+from deploy.drive.preflight import is_simulated, show, summary, to_json
+from deploy.drive.realtime import in_words, lines, trial
+from deploy.drive.vehicle_checks import OK, WARNING, Line
+
+ASKED = ProcessSection(realtime=True)
+AGENT = Granted(41, (0, 1), (0, 1), locked=True, rtprio=42, memlock=-1, privileged=False)
+PLANT = AGENT._replace(fifo=42)
+REFUSED = Granted(0, (0, 1), (0, 1), locked=True, rtprio=0, memlock=-1, privileged=False)
+
+
+def fleet() -> Fleet:
+    return replace(load_fleet(FLEETS / "delta.toml"), process=ASKED)
+
+
+def all_have(agent: Granted | None, plant: Granted | None) -> dict[tuple[int, str], Granted | None]:
+    return {
+        (robot, role): each for robot in range(1, 7) for role, each in (("agent", agent), ("plant", plant))
+    }
+
+
+def test_what_a_robots_processes_were_granted_is_a_line_for_each() -> None:
+    found = lines(ASKED, {(1, "agent"): AGENT, (1, "plant"): PLANT}, as_units=False)
+    assert found == {
+        1: [
+            Line("realtime agent", OK, "SCHED_FIFO 41, cores 0-1, memory locked", ""),
+            Line("realtime plant", OK, "SCHED_FIFO 42, cores 0-1, memory locked", ""),
+        ]
+    }
+
+
+def test_what_both_are_refused_is_one_line_and_blocks_nothing() -> None:
+    (line,) = lines(ASKED, {(1, "agent"): REFUSED, (1, "plant"): REFUSED}, as_units=True)[1]
+    assert (line.name, line.level) == ("realtime", WARNING)
+    assert "RLIMIT_RTPRIO is 0" in line.found
+    assert "user@.service.d" in line.advice
+    assert summary({1: [line]}) == "CLEAR, with 1 warning"
+
+
+def test_it_is_said_once_of_all_and_not_twelve_times() -> None:
+    (refused,) = in_words(fleet(), all_have(REFUSED, REFUSED))
+    assert refused.startswith(
+        "warning: robots 1, 2, 3, 4, 5 and 6: realtime: cores 0-1, memory locked; SCHED"
+    )
+    assert refused.count("limits.d") == 1
+    agents, plants, bad = in_words(fleet(), all_have(AGENT, PLANT) | {(3, "plant"): REFUSED})
+    assert agents == "robots 1, 2, 3, 4, 5 and 6: realtime agent: SCHED_FIFO 41, cores 0-1, memory locked"
+    assert plants.startswith("robots 1, 2, 4, 5 and 6: realtime plant: SCHED_FIFO 42")
+    assert bad.startswith("warning: robot 3: realtime plant: ")
+
+
+def test_a_robot_of_which_only_that_is_said_is_simulated_still() -> None:
+    found = {1: [Line("realtime", OK, "SCHED_FIFO 41", "")], 2: [Line("link", OK, "system 1", "")], 3: []}
+    assert [is_simulated(each) for each in found.values()] == [True, False, True]
+    assert [row["simulated"] for row in json.loads(to_json("x", found))["robots"]] == [True, False, True]
+    stream = io.StringIO()
+    show(found, stream)
+    assert (
+        "robot 1: realtime: SCHED_FIFO 41\nrobots 1 and 3  simulated: nothing to check\n" in stream.getvalue()
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has it")
+def test_a_trial_asks_as_a_process_would() -> None:
+    found = trial(replace(ASKED, cpus=(0,)))
+    assert list(found) == ["agent", "plant"]
+    for each in found.values():
+        assert each is not None
+        assert each.cpus == (0,)
+
+
+def test_a_trial_that_cannot_be_is_no_grant(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(realtime, "TRIAL", "no.such.module")
+    assert trial(ASKED) == {"agent": None, "plant": None}
+    (warning,) = in_words(fleet(), all_have(None, None))
+    assert warning.startswith("warning: ")
+
+
+def test_preflight_says_what_this_machine_grants_where_it_is_asked_for(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[ProcessSection] = []
+
+    def pretended(section: ProcessSection) -> dict[str, Granted | None]:
+        tried.append(section)
+        return {"agent": AGENT, "plant": PLANT}
+
+    monkeypatch.setattr(realtime, "trial", pretended)
+    assert main(["preflight", "delta"]) == 0
+    assert "realtime" not in capsys.readouterr().out
+    assert main(["preflight", "delta", "--set", "process.realtime=true", "--set", "process.cpus=[1]"]) == 0
+    out = capsys.readouterr().out
+    assert "realtime plant: SCHED_FIFO 42, cores 0-1, memory locked; not on core 1" in out
+    assert out.endswith("simulated: nothing to check\nCLEAR, with 12 warnings\n")
+    assert tried == [ProcessSection(realtime=True, cpus=(1,))]
