@@ -89,11 +89,11 @@ def test_memory_is_not_locked_up_to_a_limit(
 
 
 def test_a_limit_alone_is_enough_and_is_raised_as_far_as_it_may() -> None:
-    if not may_raise_limits():
-        pytest.skip("this process may raise no limit (CAP_SYS_RESOURCE)")
-    before = ("prlimit", "--rtprio=0:42", "--memlock=0:unlimited", *without("sys_nice", "ipc_lock"))
-    found = asked("--role", "plant", before=before)
-    assert (found.fifo, found.locked) == (42, True)
+    limits = ("--rtprio=0:42", "--memlock=0:unlimited") if may_raise_limits() else ()
+    found = asked("--role", "plant", before=("prlimit", *limits, *without("sys_nice", "ipc_lock")))
+    # Whose root may raise none (CAP_SYS_RESOURCE, a container's) has what its limits let it have.
+    allowed = (42, True) if limits else (42 * (found.rtprio >= 42), found.memlock < 0)
+    assert (found.fifo, found.locked) == allowed
 
 
 def test_threads_that_carry_messages_get_it_and_what_starts_later_does_not() -> None:
