@@ -16,6 +16,7 @@ from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
 HERE = Path(__file__).parent
 PROCESS_FOLDERS = ("hosts", "process")  # every test in them starts processes; the longest first
+MAY_SKIP = ("autopilot", "realtime")
 ORDER = ("", "slow", "process", "autopilot")  # quick tests first, so that a plain mistake shows at once
 MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test starts
 GRACE_S = 2.0  # how long a process that was told to stop may take to be gone
@@ -84,7 +85,8 @@ def _place(item: pytest.Item) -> tuple[int, int]:
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Turn a skip into a failure where everything must run."""
     report = yield
-    if report.skipped and not hasattr(report, "wasxfail") and item.get_closest_marker("autopilot") is None:
+    may_skip = any(item.get_closest_marker(name) for name in MAY_SKIP)
+    if report.skipped and not hasattr(report, "wasxfail") and not may_skip:
         _refuse_skip(report)
     return report
 

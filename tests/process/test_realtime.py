@@ -24,6 +24,7 @@ def policy(thread: int) -> tuple[int, int]:
     return found, os.sched_getparam(thread).sched_priority
 
 
+@pytest.mark.realtime
 def test_loops_and_links_are_before_everything_else_and_it_is_said_once(tmp_path: Path) -> None:
     need_realtime()
     core = min(os.sched_getaffinity(0))

@@ -48,6 +48,7 @@ def asked(*arguments: str, before: tuple[str, ...] = ()) -> Granted:
     return found
 
 
+@pytest.mark.realtime
 def test_it_is_granted_as_it_was_asked_for() -> None:
     need_realtime()
     core = min(os.sched_getaffinity(0))
@@ -96,6 +97,7 @@ def test_a_limit_alone_is_enough_and_is_raised_as_far_as_it_may() -> None:
     assert (found.fifo, found.locked) == allowed
 
 
+@pytest.mark.realtime
 def test_threads_that_carry_messages_get_it_and_what_starts_later_does_not() -> None:
     need_realtime()
     told = run(
@@ -113,6 +115,7 @@ print('child', subprocess.run(['chrt', '-p', '0'], capture_output=True, text=Tru
     assert told == f"links ({fifo}, 40)\nloop ({fifo}, 41)\nlater ({other}, 0)\nchild SCHED_OTHER\n"
 
 
+@pytest.mark.realtime
 def test_threads_that_are_there_already_get_it_too() -> None:
     """As the one by which a bridge reads its port."""
     need_realtime()
@@ -129,6 +132,7 @@ go.set(); reads.join()
     assert told == f"port ({os.SCHED_FIFO}, 40)\n"
 
 
+@pytest.mark.realtime
 def test_one_that_runs_on_end_gives_it_up_and_goes_on() -> None:
     """With the time of a few ticks of the scheduler, and without the right to take it back."""
     need_realtime()
@@ -147,6 +151,7 @@ print('loop', policy(0))
     assert told.endswith(f"loop ({os.SCHED_OTHER}, 0)\n")
 
 
+@pytest.mark.realtime
 def test_one_that_hears_no_signal_is_killed_by_the_kernel() -> None:
     need_realtime()
     done = subprocess.run(
