@@ -25,7 +25,8 @@ from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import CLASSES, Message
 from deploy.recording.collector import RunData
-from deploy.recording.mcap_records import MAGIC, PREFIX, Lost, Records, records_in
+from deploy.recording.mcap_records import Lost, Records, records_in
+from deploy.recording.mcap_writer import MAGIC, PREFIX
 from deploy.recording.message_json import reader, schema_name
 from deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
 from deploy.recording.recording import Damage, Recording
