@@ -16,6 +16,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
+import orjson
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -140,7 +141,7 @@ class _File:
             key, read = entry
             try:
                 # All of a channel's messages in one call of the parser: half the time.
-                contents = json.loads(b"[" + b",".join(texts[channel]) + b"]")
+                contents = orjson.loads(b"[" + b",".join(texts[channel]) + b"]")
                 messages = [read(each) for each in contents]
             except (ValueError, TypeError, KeyError, IndexError) as error:
                 raise RecordingError(
