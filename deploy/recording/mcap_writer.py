@@ -193,17 +193,9 @@ class McapWriter:
             offsets += struct.pack("<HQ", channel, after + len(indices))
             content = struct.pack(f"<{len(places)}Q", *places)
             indices += _record(Opcode.MESSAGE_INDEX, struct.pack("<H", channel), _sized(content))
+        sizes = compression + packed_size + size
         self._chunks.append(
-            _record(
-                Opcode.CHUNK_INDEX,
-                times,
-                place,
-                _sized(offsets),
-                struct.pack("<Q", len(indices)),
-                compression,
-                packed_size,
-                size,
-            )  # fmt: skip
+            _record(Opcode.CHUNK_INDEX, times, place, _sized(offsets), struct.pack("<Q", len(indices)), sizes)
         )
         self._parts, self._bytes, self._index = [], 0, {}
         self._write(chunk + indices)

@@ -14,7 +14,7 @@ from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Final, Self
+from typing import IO, Any, Final, Self
 
 import tomli_w
 
@@ -142,9 +142,9 @@ class Recorder:
 
     def record_message(self, received_ns: int, key: str, message: Message) -> None:
         """Write one message that is decoded already (a simulation has it at hand)."""
-        kind = type(message)
-        place = _SEQUENCES[kind]
-        sequence: int = 0 if place is None else message[place]
+        kind, place = type(message), _SEQUENCES[type(message)]
+        values: tuple[Any, ...] = message
+        sequence: int = 0 if place is None else values[place]
         self._write(received_ns, key, kind, to_json(message), message.time_ns, sequence)
         for topic, name, content in self._derived.feed(received_ns, key, message):
             self._write(received_ns, topic, name, content, received_ns, 0)

@@ -15,20 +15,25 @@ from deploy.recording.mcap_writer import McapWriter
 CHUNK_BYTES = 300
 times = st.integers(0, 2**64 - 1)
 texts = st.dictionaries(st.text(max_size=8), st.text(max_size=8), max_size=3)
+short = st.text(max_size=8)
 steps = st.lists(
     st.one_of(
         st.tuples(
-            st.just("message"), st.integers(0, 9), times, st.binary(max_size=200), times,
+            st.just("message"),
+            st.integers(0, 9),
+            times,
+            st.binary(max_size=200),
+            times,
             st.integers(0, 2**32 - 1),
         ),
-        st.tuples(st.just("channel"), st.text(max_size=8), st.sampled_from(["json", ""]), st.integers(0, 3), texts),
-        st.tuples(st.just("schema"), st.text(max_size=8), st.just("jsonschema"), st.binary(max_size=400)),
-        st.tuples(st.just("metadata"), st.text(max_size=8), texts),
-        st.tuples(st.just("attachment"), st.text(max_size=8), st.just("text/plain"), st.binary(max_size=50)),
+        st.tuples(st.just("channel"), short, st.sampled_from(["json", ""]), st.integers(0, 3), texts),
+        st.tuples(st.just("schema"), short, st.just("jsonschema"), st.binary(max_size=400)),
+        st.tuples(st.just("metadata"), short, texts),
+        st.tuples(st.just("attachment"), short, st.just("text/plain"), st.binary(max_size=50)),
         st.tuples(st.just("flush")),
     ),
     max_size=40,
-)  # fmt: skip
+)
 
 
 def by_the_library(written: list[tuple[Any, ...]]) -> bytes:
