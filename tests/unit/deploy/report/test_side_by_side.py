@@ -67,25 +67,17 @@ def test_a_process_with_other_threads_is_not_forked(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("how", [lambda: os.kill(os.getpid(), signal.SIGKILL), lambda: 1 // 0])
 def test_what_a_fork_does_not_finish_is_done_here(tmp_path: Path, how: Callable[[], object]) -> None:
-    here = os.getpid()
-    begun = tmp_path / "begun"
+    here, begun = os.getpid(), tmp_path / "begun"
 
-    def first() -> None:
-        if os.getpid() == here:
-            waits_for(tmp_path / "taken", begun)
-
-    def second() -> None:
+    def task(path: Path) -> None:
         if os.getpid() != here:
             begun.touch()
             how()
-        writes(tmp_path / "done")
+        waits_for(path, begun)  # so the fork has taken the other one
 
-    # Whoever takes the first, the fork takes the second: as long as it has not, this process waits.
-    def either() -> None:
-        first() if os.getpid() == here else second()
-
-    side_by_side([either, either, second], processes=2)
-    assert by(tmp_path / "done") == here
+    paths = [tmp_path / "a", tmp_path / "b"]
+    side_by_side([partial(task, path) for path in paths], processes=2)
+    assert {by(path) for path in paths} == {here}
 
 
 def test_what_is_raised_is_raised_here_and_no_process_stays(monkeypatch: pytest.MonkeyPatch) -> None:
