@@ -35,16 +35,16 @@ def side_by_side(tasks: Sequence[Callable[[], object]], processes: int | None = 
     os.write(given, bytes(range(len(tasks))))
     os.close(given)
     forks: list[int] = []
-    done = set()
+    done: set[int] = set()
     try:
         forks += [_fork(tasks, waiting, tell) for _ in range(processes - 1)]
         os.close(tell)
         tell = -1
-        while number := os.read(waiting, 1):
-            tasks[number[0]]()
-            done.add(number[0])
-        while number := os.read(finished, 1):  # until all forks have ended
-            done.add(number[0])
+        while taken := os.read(waiting, 1):
+            tasks[taken[0]]()
+            done |= set(taken)
+        while told := os.read(finished, 1):  # until all forks have ended
+            done |= set(told)
     finally:
         for fork in forks:
             with suppress(ProcessLookupError):
@@ -71,9 +71,9 @@ def _fork(tasks: Sequence[Callable[[], object]], waiting: int, tell: int) -> int
         try:
             with open(os.devnull, "w") as nowhere:
                 os.dup2(nowhere.fileno(), 2)
-            while number := os.read(waiting, 1):
-                tasks[number[0]]()
-                os.write(tell, number)
+            while taken := os.read(waiting, 1):
+                tasks[taken[0]]()
+                os.write(tell, taken)
         finally:
             os._exit(0)
     finally:
