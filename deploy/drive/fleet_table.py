@@ -14,6 +14,7 @@ from rich.text import Text
 from agent.common.wording import printable
 from agent.supervision.state_machine import State
 from deploy.console.wording import some
+from deploy.drive.live_view import clock_words
 from deploy.drive.vehicle_checks import BLOCKING, WARNING
 from deploy.drive.watch import RobotPicture
 
@@ -49,14 +50,6 @@ class Column(NamedTuple):
     text: Callable[[int, RobotPicture], str]
     width: int
     style: Callable[[RobotPicture], str] = lambda _: ""
-
-
-def clock_words(about: RobotPicture) -> str:
-    """What is wrong with another's clock in a robot's eyes, "" for nothing."""
-    if about.clock is None:
-        return ""
-    robot, ahead_s = about.clock
-    return f"clock of robot {robot} {abs(ahead_s) * 1e3:.0f} ms {'ahead' if ahead_s > 0 else 'behind'}"
 
 
 def _number(value: float | None, decimals: int) -> str:

@@ -12,7 +12,8 @@ from typing import Final, Protocol, TextIO
 from rich.console import Group
 from rich.table import Table
 
-from deploy.console.views import LinesView, Speaker, TerminalView, plain
+from deploy.console.terminal import TerminalView, plain
+from deploy.console.views import LinesView, Speaker
 from deploy.console.wording import FEW
 from deploy.console.wording import robots as robots_words
 

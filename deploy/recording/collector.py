@@ -139,9 +139,9 @@ class RunData:
         if self._fed % ASIDE_MESSAGES == 0:
             self._store.put_aside()
         sink = self._sinks.get(key)
-        if abs(message.time_ns - received_ns) > CLOCK_TOLERANCE_NS and not self._is_meant(
-            received_ns, key, message
-        ):
+        off_ns = message.time_ns - received_ns
+        is_near = -CLOCK_TOLERANCE_NS <= off_ns <= CLOCK_TOLERANCE_NS
+        if not is_near and not self._is_meant(received_ns, key, message):
             self.foreign += 1
         elif sink is not None and sink.is_of(message):
             sink.append(message)

@@ -16,6 +16,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
+import orjson
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -25,7 +26,8 @@ from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import CLASSES, Message
 from deploy.recording.collector import RunData
-from deploy.recording.mcap_records import MAGIC, PREFIX, Lost, Records, records_in
+from deploy.recording.mcap_records import Lost, Records, records_in
+from deploy.recording.mcap_writer import MAGIC, PREFIX
 from deploy.recording.message_json import reader, schema_name
 from deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
 from deploy.recording.recording import Damage, Recording
@@ -139,7 +141,7 @@ class _File:
             key, read = entry
             try:
                 # All of a channel's messages in one call of the parser: half the time.
-                contents = json.loads(b"[" + b",".join(texts[channel]) + b"]")
+                contents = orjson.loads(b"[" + b",".join(texts[channel]) + b"]")
                 messages = [read(each) for each in contents]
             except (ValueError, TypeError, KeyError, IndexError) as error:
                 raise RecordingError(

@@ -20,9 +20,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Footer, Header, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
-MAGIC: Final = b"\x89MCAP0\r\n"
-PREFIX: Final = struct.Struct("<BQ")
-"""What a record begins with: opcode, length of what follows."""
+from deploy.recording.mcap_writer import MAGIC, PREFIX
+
 RECORD_BYTES_MAX: Final = 1 << 30
 _FOOTER_BYTES: Final = PREFIX.size + 20
 _CHUNK_BYTES: Final = 40

@@ -1,6 +1,6 @@
 """Messages of the bus as JSON, the form in which a recording keeps them, and their JSON schemas.
 
-JSON because Foxglove and every other MCAP tool reads it without our code. Python writes the
+JSON because Foxglove and every other MCAP tool reads it without our code. A number is written as the
 shortest decimal that reads back to the same double, so nothing is lost. Rows become objects
 (``{"neighbour": 2, "value": 0.5}``): Foxglove has no arrays within arrays, and its message
 paths find and filter by these names. All is made of the messages' declarations
@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from json.encoder import encode_basestring_ascii as _quoted
 from operator import itemgetter
 from typing import Any, Final
+
+import orjson
 
 from agent.messages.declaration import REQUIRED, Field, declared
 from agent.messages.types import Message
 
 _TYPES: Final = {int: "integer", float: "number", bool: "boolean", str: "string", object: "string"}
-_FORMS: Final = {int: "%d", float: "%r", bool: "%s", str: "%s", object: "%s"}
-_TRUTH: Final = {False: "false", True: "true"}
-_writers: Final[dict[type, Callable[[Any], str]]] = {}
+_writers: Final[dict[type, Callable[[Any], bytes]]] = {}
 
 
 def schema_name(cls: type[Message]) -> str:
@@ -60,49 +59,44 @@ def to_json(message: Message) -> bytes:
     write = _writers.get(cls)
     if write is None:
         write = _writers[cls] = _writer(cls)
-    return write(message).encode()
+    return write(message)
 
 
-def _writer(cls: type[Message]) -> Callable[[Message], str]:
-    """A function that writes messages of one class by a template: three times faster than a dictionary
-    through `json.dumps`. The repr of a finite float is its JSON form."""
-    names: dict[str, Any] = {"truth": _TRUTH, "quoted": _quoted, "dumps": _dumps}
-    template, values = _template(cls, names)
-    names["template"] = template
+def _writer(cls: type[Message]) -> Callable[[Message], bytes]:
+    """A function that writes messages of one class: by a dictionary that is built in one expression, which
+    orjson writes in a sixth of the time that templates of Python take."""
+    names: dict[str, Any] = {"dumps": orjson.dumps, "text": _dumps}
+    content = _content(cls, names)
     fields = ", ".join(field.name for field in declared(cls))
-    exec(f"def write(message):\n    {fields}, = message\n    return template % ({values},)\n", names)
-    write: Callable[[Message], str] = names["write"]
+    exec(
+        f"def write(message):\n    {fields}, = message\n    content = {content}\n"
+        "    try:\n        return dumps(content)\n"
+        # Integers of more than 64 bits, which no message of the bus holds, and halves of surrogate pairs.
+        "    except TypeError:\n        return text(content).encode()\n",
+        names,
+    )
+    write: Callable[[Message], bytes] = names["write"]
     return write
 
 
-def _template(cls: type[tuple[Any, ...]], names: dict[str, Any]) -> tuple[str, str]:
-    """The form of an object for ``%``, and Python for the values to put in, by the names of the fields.
+def _content(cls: type[tuple[Any, ...]], names: dict[str, Any], prefix: str = "") -> str:
+    """Python for the dictionary of an object, by the names of its fields.
 
     What this Python needs is added to `names`.
     """
-    forms, values = [], []
+    values = []
     for field in declared(cls):
-        name = value = field.name
-        form = _FORMS.get(field.kind, "[%s]")
+        name = value = prefix + field.name
         if field.row is not None:
-            names[f"{name}_row"], inner = _template(field.row, names)
-            columns = ", ".join(column.name for column in declared(field.row))
-            value = f'",".join([{name}_row % ({inner},) for {columns}, in {name}])'
-        elif field.item is not None:
-            written = "quoted" if field.item.kind is str else "repr"
-            value = f'",".join(map({written}, {name}))'
+            columns = ", ".join(f"{name}_{column.name}" for column in declared(field.row))
+            value = f"[{_content(field.row, names, f'{name}_')} for {columns}, in {name}] if {name} else ()"
         elif field.kind is int and field.about.choices:
-            form, names[f"{name}_texts"] = "%s", tuple(map(_quoted, field.about.choices))
+            names[f"{name}_texts"] = field.about.choices
             value = f"{name}_texts[{name}]"
-        elif field.kind is bool:
-            value = f"truth[{name}]"
-        elif field.kind is str:
-            value = f"quoted({name})"
         elif field.kind is object:  # a schema has one type for it: text, of its JSON
-            value = f"quoted(dumps({name}))"
-        forms.append(f'"{name}":{form}')
-        values.append(value)
-    return "{" + ",".join(forms) + "}", ", ".join(values)
+            value = f"text({name})"
+        values.append(f'"{field.name}": {value}')
+    return "{" + ", ".join(values) + "}"
 
 
 def _dumps(content: Any) -> str:

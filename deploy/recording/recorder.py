@@ -14,20 +14,20 @@ from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Final, Self
+from typing import IO, Any, Final, Self
 
 import tomli_w
-from mcap.writer import CompressionType, Writer
 
 from agent.common.errors import Error
 from agent.fleet.loading import law_name, to_dict
 from agent.fleet.model import Fleet
 from agent.messages.codec import decode
-from agent.messages.types import Message
+from agent.messages.types import CLASSES, Message
 from agent.messages.validation import Malformed
 from agent.runtime.version import handfast_version
 from deploy.recording.foxglove.channels import Channels
 from deploy.recording.foxglove.schemas import SCHEMAS
+from deploy.recording.mcap_writer import McapWriter
 from deploy.recording.message_json import schema, schema_name, to_json
 from deploy.recording.run_files import FLEET_FILE
 
@@ -44,6 +44,11 @@ _Kind = type[Message] | str | None
 """What a channel carries: a message class, the name of a derived channel's schema, or None for raw bytes."""
 _TIME_MAX: Final = 2**64 - 1
 _SEQUENCE_MASK: Final = 2**32 - 1  # MCAP's sequence has 32 bits
+_SEQUENCES: Final = {
+    cls: next((cls._fields.index(name) for name in ("sequence", "version") if name in cls._fields), None)
+    for cls in CLASSES
+}
+"""Where each class has its sequence number, or what counts as one."""
 
 
 class RecordingError(Error):
@@ -98,11 +103,10 @@ class Recorder:
         text = tomli_w.dumps(to_dict(fleet)) if fleet_toml is None else fleet_toml
         try:
             self._stream = open(self.path, "wb")  # noqa: SIM115 - closed by close()
-            self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-            self._writer.start(profile="", library="handfast")
+            self._writer = McapWriter(self._stream, "handfast", CHUNK_BYTES)
             self._writer.add_metadata(RUN_METADATA, run)
             # Its own write: a file cut short still says what it was.
-            self._writer.add_attachment(0, 0, FLEET_FILE, "application/toml", text.encode())
+            self._writer.add_attachment(FLEET_FILE, "application/toml", text.encode())
             self._stream.flush()
         except OSError as error:
             failure = self._error(error)
@@ -138,8 +142,10 @@ class Recorder:
 
     def record_message(self, received_ns: int, key: str, message: Message) -> None:
         """Write one message that is decoded already (a simulation has it at hand)."""
-        sequence = getattr(message, "sequence", getattr(message, "version", 0))
-        self._write(received_ns, key, type(message), to_json(message), message.time_ns, sequence)
+        kind, place = type(message), _SEQUENCES[type(message)]
+        values: tuple[Any, ...] = message
+        sequence: int = 0 if place is None else values[place]
+        self._write(received_ns, key, kind, to_json(message), message.time_ns, sequence)
         for topic, name, content in self._derived.feed(received_ns, key, message):
             self._write(received_ns, topic, name, content, received_ns, 0)
 
@@ -210,16 +216,16 @@ class Recorder:
     def _channel(self, key: str, kind: _Kind) -> int:
         """Register the channel of a key and a kind."""
         if kind is None:
-            channel = self._writer.register_channel(key, RAW_ENCODING, 0)
+            channel = self._writer.add_channel(key, RAW_ENCODING, 0, {})
         else:
             name = kind if isinstance(kind, str) else schema_name(kind)
             if name not in self._schemas:
                 content = json.dumps(SCHEMAS[kind] if isinstance(kind, str) else schema(kind))
-                self._schemas[name] = self._writer.register_schema(name, "jsonschema", content.encode())
+                self._schemas[name] = self._writer.add_schema(name, "jsonschema", content.encode())
             derived = {"derived": "true"} if isinstance(kind, str) else {}
-            channel = self._writer.register_channel(key, "json", self._schemas[name], derived)
+            channel = self._writer.add_channel(key, "json", self._schemas[name], derived)
         self._channels[(key, kind)] = channel
-        return int(channel)
+        return channel
 
     def _error(self, error: OSError) -> RecordingError:
         self._failed = True

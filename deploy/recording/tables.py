@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from operator import attrgetter
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -194,7 +194,7 @@ class Rows:
         self.names = tuple(column.name for column in columns(kind))
         self.times, self._values = store.column("q"), store.column("d")
         self._sequences = store.column("q")
-        self._numbers = attrgetter(*self.names)
+        self._numbers = itemgetter(*map(kind._fields.index, self.names))
 
     def is_of(self, message: Any) -> bool:
         """Whether it is a message of this table."""

@@ -13,6 +13,7 @@ from deploy.console.arguments import FIGURE_FORMATS
 from deploy.recording.recorder import RecordingError
 from deploy.report import distance_figure, force_figure, link_figure, timing_figure
 from deploy.report.plotting import styled, write
+from deploy.report.side_by_side import side_by_side
 from deploy.report.trajectory_figure import trajectories
 from deploy.verdict.run_result import RunResult
 
@@ -31,6 +32,8 @@ _WORTH_DRAWING: Final[Mapping[str, Callable[[RunResult], bool]]] = {
 }
 """Whether there is anything to see on one; without an entry there always is."""
 _OF_THE_PAGE: Final = "png"
+_LONG: Final = frozenset({"forces"})
+"""What takes as long as two others is begun first."""
 
 
 def figure(result: RunResult, name: str) -> Figure:
@@ -51,12 +54,14 @@ def write_figures(folder: Path, result: RunResult, formats: Sequence[str] = ()) 
     others = [each for each in FIGURE_FORMATS if each in formats and each != _OF_THE_PAGE]
     out: dict[str, Path] = {}
     written: set[Path] = set()
+    tasks = {}
     for name, draw in PICTURES.items():
         if name not in _WORTH_DRAWING or _WORTH_DRAWING[name](result):
             out[name] = folder / f"{name}.{_OF_THE_PAGE}"
             more = [folder / f"{name}.{each}" for each in others]
-            write(out[name], partial(draw, result), more)
+            tasks[name] = partial(write, out[name], partial(draw, result), more)
             written |= {out[name], *more}
+    side_by_side([tasks[name] for name in sorted(tasks, key=_LONG.__contains__, reverse=True)])
     remove_figures(folder, written)
     return out
 

@@ -7,7 +7,7 @@ which colour-blind readers tell apart; markers and dashes tell lines apart witho
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from io import BytesIO
 from math import cos, sin
 from pathlib import Path
@@ -98,9 +98,23 @@ def write(path: Path, draw: Callable[[], Figure], also: Sequence[Path] = ()) -> 
         for each in (path, *also):
             kind = each.suffix.removeprefix(".")
             try:
-                figure.savefig(each, dpi=DPI, format=kind, metadata=dict(_METADATA[kind]))
+                with _laid_out(figure) if kind == "png" else nullcontext():
+                    figure.savefig(each, dpi=DPI, format=kind, metadata=dict(_METADATA[kind]))
             except OSError as error:
                 raise RecordingError(f"cannot write {each}: {error.strerror or error}") from error
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """A context in which all on a figure of `DPI` has its place: matplotlib would draw all of it once more,
+    unseen, to find that."""
+    engine = figure.get_layout_engine()
+    if engine is not None and figure.axes:
+        figure.set_dpi(DPI)
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+    yield
+    figure.set_layout_engine(engine)
 
 
 class Picture(Figure):

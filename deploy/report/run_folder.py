@@ -14,7 +14,6 @@ from agent.fleet.model import Fleet
 from agent.messages.types import Message
 from deploy.console.interrupt import Interrupt
 from deploy.recording.collector import RunData
-from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder
 from deploy.recording.run_files import EVENTS_FILE, FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
 from deploy.report.events_file import write_events
@@ -147,6 +146,8 @@ def rebuild(folder: Path, formats: Sequence[str] = (), *, interrupt: Interrupt |
         RecordingError: when the folder holds no run that can be read, or cannot be written.
         FleetError, FormationError: when its fleet file is not valid.
     """
+    from deploy.recording.mcap_reader import read_run  # a run has no need of it
+
     result, interrupt = RunResult(read_run(folder)), interrupt or Interrupt()
     with interrupt.caught():
         with interrupt.answered(COMPLETING_METRICS):

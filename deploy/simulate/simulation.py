@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache, partial
 from math import ceil
@@ -83,33 +83,46 @@ class _Bus:
     def __init__(self, robots: int) -> None:
         self.robots: Final = robots
         self._rings: dict[str, dict[_Host, Ring]] = {}
-        self._keys: dict[_Host, tuple[str, ...]] = {}
-        self._wild: dict[str, str] = {}
+        self._keys: dict[_Host, dict[str, Ring]] = {}
+        self._heard: dict[str, tuple[Ring, ...]] = {}
+        """The rings in which the messages of a key wait, as far as that has been looked up."""
         self.tokens: set[str] = set()
 
     def listen(self, host: _Host) -> None:
         """`host` hears from now on what its rings are for, and nothing else."""
-        self.forget(host)
-        self._keys[host] = tuple(host.rings)
-        for subscription, ring in host.rings.items():
-            self._rings.setdefault(subscription, {})[host] = ring
+        before = self._keys.get(host, {})
+        self._keys[host] = host.rings
+        for subscription in before.keys() - host.rings.keys():
+            del self._rings[subscription][host]
+            self._look_again(subscription)
+        for subscription in host.rings.keys() - before.keys():
+            self._rings.setdefault(subscription, {})[host] = host.rings[subscription]
+            self._look_again(subscription)
 
     def forget(self, host: _Host) -> None:
-        for subscription in self._keys.pop(host, ()):
+        for subscription in self._keys.pop(host, {}):
             del self._rings[subscription][host]
+            self._look_again(subscription)
+
+    def _look_again(self, subscription: str) -> None:
+        """Others listen to it now: whose rings its messages wait in is looked up with the next one."""
+        if "*" in subscription:
+            self._heard.clear()
+        else:
+            self._heard.pop(subscription, None)
 
     def put(self, arrival_ns: int, key: str, payload: bytes) -> None:
-        for rings in self.heard_by(key):
-            for ring in rings.values():
-                ring.append((arrival_ns, key, payload))
+        rings = self._heard.get(key)
+        if rings is None:
+            rings = self._heard[key] = self._heard_by(key)
+        message = (arrival_ns, key, payload)
+        for ring in rings:
+            ring.append(message)
 
-    def heard_by(self, key: str) -> list[dict[_Host, Ring]]:
-        """Who listens to this key: by its name, and by that of any robot's."""
-        wild = self._wild.get(key)
-        if wild is None:
-            wild = self._wild[key] = key_expressions.of_any_robot(key)
-        subscriptions = (key, wild) if wild != key else (key,)
-        return [rings for name in subscriptions if (rings := self._rings.get(name))]
+    def _heard_by(self, key: str) -> tuple[Ring, ...]:
+        """The rings of who listens to this key: by its name, and by that of any robot's."""
+        subscriptions = dict.fromkeys((key, key_expressions.of_any_robot(key)))
+        return tuple(ring for name in subscriptions for ring in self._rings.get(name, {}).values())
 
     def announce(self, token: str, time_ns: int, *, here: bool) -> None:
         """Shows others, at `time_ns`, that a process comes or goes."""
@@ -131,6 +144,7 @@ class _Host:
 
     def __init__(self, node: Node, local: LocalTime, now_ns: int, bus: _Bus) -> None:
         self.rings: dict[str, Ring] = {}
+        self._waiting: tuple[Ring, ...] = ()
         self._bus = bus
         self.life = 0
         self.kept: tuple[bytes, ...] = ()
@@ -144,7 +158,6 @@ class _Host:
         self.node = node
         node.recall(self._wrong.local_ns(now_ns), self.kept)
         self.up = True
-        self._heard: Sequence[str] = ()
         self._listen()
         self._changes = deque((now_ns, key, True) for key in sorted(self._bus.tokens) if self._watches(key))
         self._bus.announce(node.alive_keys[0], now_ns + LATENCY_NS, here=True)
@@ -156,7 +169,7 @@ class _Host:
         self.up = self.paused = False
         self.life += 1
         self._bus.forget(self)
-        self.rings = {}
+        self.rings, self._waiting = {}, ()
         self._bus.announce(self.node.alive_keys[0], now_ns + LATENCY_NS, here=False)
 
     def pause(self) -> None:
@@ -176,11 +189,14 @@ class _Host:
 
     def _listen(self) -> None:
         """Listens to what the node wants to hear."""
-        if self.node.subscriptions is not self._heard:
-            self._heard = self.node.subscriptions
-            robots, rings = self._bus.robots, self.rings
-            self.rings = {key: rings.get(key) or deque(maxlen=inbox_size(key, robots)) for key in self._heard}
-            self._bus.listen(self)
+        self._heard = self.node.subscriptions
+        robots, rings = self._bus.robots, self.rings
+        self.rings = {
+            key: deque(maxlen=inbox_size(key, robots)) if (ring := rings.get(key)) is None else ring
+            for key in self._heard
+        }
+        self._waiting = tuple(self.rings.values())
+        self._bus.listen(self)
 
     def see(self, time_ns: int, key: str, here: bool) -> None:
         """Notes that a liveliness token comes or goes at `time_ns`."""
@@ -199,12 +215,14 @@ class _Host:
             node.late(now_ns, late_ns)
         while self._changes and self._changes[0][0] <= true_ns:
             node.present(*self._changes.popleft()[1:])
-        for ring in self.rings.values():
+        receive = node.receive
+        for ring in self._waiting:
             while ring and ring[0][0] <= true_ns:
                 _, key, payload = ring.popleft()
-                node.receive(now_ns, key, payload)
+                receive(now_ns, key, payload)
         outgoing = node.tick(now_ns)
-        self._listen()
+        if node.subscriptions is not self._heard:
+            self._listen()
         if node.lasting is not self.kept:
             self.kept = node.lasting
             node.kept(self.kept, "")

@@ -116,7 +116,6 @@ BY_OTHERS: Final = {
         bridges/mavlink/session/settings
         deploy/analysis/clearances
         deploy/analysis/desired
-        deploy/analysis/rounding
         deploy/analysis/stability
         deploy/check/bodies
         deploy/check/description
@@ -127,6 +126,8 @@ BY_OTHERS: Final = {
         deploy/check/shape
         deploy/console/data_files
         deploy/console/progress
+        deploy/console/terminal
+        deploy/drive/terminal_view
         deploy/faults/windows
         deploy/faults/wording
         deploy/orders/blend_time

@@ -1,5 +1,9 @@
 """`handfast simulate` against real time: delta, its loop alone and the whole command, and large lattices,
-which nobody can have as processes: what a second of a robot takes should not grow with the fleet."""
+which nobody can have as processes: what a second of a robot takes should not grow with the fleet.
+
+Beside it what other simulators take to bring as many robots from the same starts to where these end, in as
+many steps (`other_simulators`); none of them has agents, links and plants.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +16,27 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
+from agent.messages.codec import decode
+from agent.messages.types import PlantState
 from deploy.analysis.lattice import lattice
 from deploy.console.arguments import fleet_path
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, number, spread
+from tests.benchmarks.other_simulators import Task, measured
 from tests.benchmarks.processes import BenchmarkError, environment, handfast
 
-TARGET: Final = 20.0
+LOOP: Final = 80.0
+"""Times real time, of the delta's loop alone."""
+WHOLE: Final = 50.0
+"""Of the command without a report."""
+REPORTED: Final = 20.0
+LATTICE45: Final = 5.0
+ROBOT_S: Final = 500.0
+"""Seconds of a robot that a core simulates in a second."""
+AS_INSTALLED: Final = {"PYTHONDONTWRITEBYTECODE": ""}
+"""Of a command: what it imports is compiled once, not each time anew, whatever runs the benchmarks."""
 LATTICES: Final = ((25, 10.0), (100, 10.0), (500, 10.0))
 LATTICES_QUICK: Final = ((25, 5.0), (100, 5.0))
 """Robots, and for how long they drive, s."""
@@ -43,7 +60,7 @@ def large(robots: int, duration_s: float) -> Large:
         words = ("simulate", str(file), "--quiet", "--no-report", "--out", str(Path(name) / "run"))
         begun = time.perf_counter()
         process = subprocess.Popen(
-            handfast(*words), env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            handfast(*words), env=environment(AS_INSTALLED), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
         )
         assert process.stderr is not None
         told = process.stderr.read()
@@ -55,42 +72,101 @@ def large(robots: int, duration_s: float) -> Large:
         return Large(robots, took_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, code == 0)
 
 
-def run(options: Options) -> Result:
+def command(fleet: str, *arguments: str) -> float:
+    """`handfast simulate`, whole, s."""
+    with tempfile.TemporaryDirectory(prefix="handfast-bench-") as folder:
+        words = ("simulate", fleet, "--quiet", "--out", str(Path(folder) / "run"), *arguments)
+        begun = time.perf_counter()
+        done = subprocess.run(
+            handfast(*words), env=environment(AS_INSTALLED), capture_output=True, check=False
+        )
+        took_s = time.perf_counter() - begun
+    if done.returncode not in (0, 1):  # 1: it ran, and its verdict failed
+        raise BenchmarkError(f"handfast simulate: {done.stderr.decode(errors='replace')[-500:]}")
+    return took_s
+
+
+def loop(fleet: Fleet) -> tuple[float, float]:
+    """The simulation alone, of which nothing is recorded, s; and what it takes of a processor, s."""
+    begun, cpu = time.perf_counter(), time.process_time()
+    Simulation(fleet).run()
+    return time.perf_counter() - begun, time.process_time() - cpu
+
+
+def task(fleet: Fleet) -> Task:
+    """For other simulators: the robots of a fleet from their starts to where they end."""
+    ends: dict[int, tuple[float, float]] = {}
+
+    def sink(_: int, key: str, payload: bytes) -> None:
+        message = decode(payload)
+        if type(message) is PlantState:
+            ends[message.robot] = message.x, message.y
+
+    Simulation(fleet, sink).run()
+    starts = [(robot.x_m, robot.y_m) for robot in fleet.robots]
+    steps = round(fleet.fleet.duration_s * fleet.fleet.rate_hz)
+    goals = [ends[robot] for robot in fleet.ids]
+    return Task(starts, goals, fleet.control.max_speed_mps, 1.0 / fleet.fleet.rate_hz, steps)
+
+
+def delta(repetitions: int) -> list[Figure]:
+    """The delta: loop, command without and with a report, one after the other in each repetition."""
     fleet = resolved(load_fleet(fleet_path("delta")))
     duration_s = fleet.fleet.duration_s
-    repetitions = 3 if options.quick else 7
-
-    def loop() -> None:
-        Simulation(fleet).run()
-
-    def command(*arguments: str) -> None:
-        with tempfile.TemporaryDirectory(prefix="handfast-bench-") as folder:
-            out = str(Path(folder) / "run")
-            done = subprocess.run(
-                handfast("simulate", "delta", "--quiet", "--out", out, *arguments),
-                env=environment(),
-                capture_output=True,
-                check=False,
-            )
-        if done.returncode not in (0, 1):  # 1: it ran, and its verdict failed
-            raise BenchmarkError(f"handfast simulate: {done.stderr.decode(errors='replace')[-500:]}")
-
-    result = Result()
-    for name, limit, what in (
-        ("simulation loop, nothing recorded", None, loop),
-        ("whole command, --no-report", TARGET, lambda: command("--no-report")),
-        ("whole command with report", TARGET, command),
-    ):
-        took = []
-        for _ in range(repetitions):
-            begun = time.perf_counter()
-            what()
-            took.append(time.perf_counter() - begun)
-        result.figures.append(
-            Figure(
-                name, duration_s / median(took), "x real time", limit, at_most=False, note=f"{spread(took)} s"
-            )
+    loops, bare, reported = [], [], []
+    for _ in range(repetitions):
+        loops.append(loop(fleet))
+        bare.append(command("delta", "--no-report"))
+        reported.append(command("delta"))
+    alone = [took for took, _ in loops]
+    found = [
+        Figure(name, duration_s / median(took), "x real time", limit, at_most=False, note=f"{spread(took)} s")
+        for name, limit, took in (
+            ("simulation loop, nothing recorded", LOOP, alone),
+            ("whole command, --no-report", WHOLE, bare),
+            ("whole command with report", REPORTED, reported),
         )
+    ]
+    for name, took in (("--no-report", bare), ("with report", reported)):
+        ratios = [whole / one for whole, one in zip(took, alone, strict=True)]
+        found.append(Figure(f"whole command, {name} / loop", median(ratios), note=spread(ratios)))
+    cpu_s = min(cpu for _, cpu in loops)
+    ours = len(fleet.robots) * duration_s / cpu_s
+    found.append(
+        Figure("loop: robot-seconds a second of a core", ours, "", ROBOT_S, at_most=False, note="the best")
+    )
+    return found
+
+
+def others(ours: float) -> tuple[list[Figure], list[str]]:
+    """Other simulators with the delta's task, beside `ours`: robot-seconds a second of a core."""
+    what = task(resolved(load_fleet(fleet_path("delta"))))
+    took, lacking = measured(what)
+    figures = []
+    for each in took:
+        theirs = what.robot_s / each.cpu_s
+        share = f"{number(ours / theirs)} of ours to one of theirs; ends {each.off_m:.2f} m off at most"
+        figures.append(Figure(f"{each.name}: the same", theirs, note=share))
+    return figures, lacking
+
+
+def run(options: Options) -> Result:
+    result = Result(delta(3 if options.quick else 7))
+    figures, result.details = others(result.figures[-1].value)
+    result.figures += figures
+    fleet = load_fleet(fleet_path("lattice45"))
+    duration_s = 10.0 if options.quick else fleet.fleet.duration_s
+    took_s = command("lattice45", "--no-report", "--duration", str(duration_s))
+    result.figures.append(
+        Figure(
+            f"lattice45 for {duration_s:g} s, --no-report",
+            duration_s / took_s,
+            "x real time",
+            LATTICE45,
+            at_most=False,
+            note=f"{number(took_s)} s",
+        )
+    )
     lattices = LATTICES_QUICK if options.quick else LATTICES
     sizes = [(large(robots, duration_s), duration_s) for robots, duration_s in lattices]
     per_robot = [1000.0 * each.cpu_s / each.robots / duration_s for each, duration_s in sizes]

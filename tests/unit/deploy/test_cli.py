@@ -151,6 +151,15 @@ def test_check_loads_only_what_it_computes_with() -> None:
     assert commands == {"deploy.commands.local", "deploy.commands.local.check"}
 
 
+def test_a_simulation_without_a_report_loads_only_what_it_records_and_judges_with(tmp_path: Path) -> None:
+    where = ("--out", str(tmp_path / "run"), "--no-check", "--quiet", "--no-report")
+    loaded = loaded_by("simulate", "pair", "--duration", "12s", *where)
+    assert not loaded & (set(HEAVY) - {"msgpack", "mcap", "tomli_w", "importlib.metadata"})
+    others = {name for name in loaded if name.startswith("mcap.")}
+    assert others <= {"mcap.opcode", "mcap.exceptions"}
+    assert not loaded & {"numpy.ma", "lz4", "scipy", "pandas", "deploy.report.report"}
+
+
 def test_a_command_loads_no_other() -> None:
     """A stop must be quick: no numpy, and nothing of how fleets are driven or drawn."""
     loaded = loaded_by("stop", "--help")

@@ -12,8 +12,8 @@ from typing import TextIO
 
 import pytest
 
-from deploy.console.views import TerminalView
-from deploy.drive import live_view
+from deploy.console.terminal import TerminalView
+from deploy.drive import terminal_view
 from deploy.drive.live_view import make_view
 from deploy.drive.watch import Picture, RobotPicture
 from deploy.hosts import view
@@ -88,7 +88,7 @@ def test_texts_are_shown_as_they_are(
     assert "\nc" not in text
 
 
-@pytest.mark.parametrize("make", [live_view.Terminal, view.Terminal])
+@pytest.mark.parametrize("make", [terminal_view.Terminal, view.Terminal])
 def test_a_ctrl_c_is_not_echoed_while_something_is_redrawn(make: Callable[[TextIO], TerminalView]) -> None:
     ours, theirs = pty.openpty()
     with open(ours, "wb"), open(theirs, "w") as terminal:
@@ -103,7 +103,7 @@ def test_a_ctrl_c_is_not_echoed_while_something_is_redrawn(make: Callable[[TextI
         assert echoes()
 
 
-@pytest.mark.parametrize("make", [live_view.Terminal, view.Terminal])
+@pytest.mark.parametrize("make", [terminal_view.Terminal, view.Terminal])
 def test_a_ctrl_c_drops_nothing_that_is_not_shown_yet(make: Callable[[TextIO], TerminalView]) -> None:
     ours, theirs = pty.openpty()
     with open(ours, "r+b", buffering=0) as keyboard, open(theirs, "w") as terminal, make(terminal) as shown:

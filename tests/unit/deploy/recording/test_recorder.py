@@ -33,7 +33,8 @@ from agent.messages.types import (
 )
 from deploy.recording.foxglove.channels import Channels
 from deploy.recording.foxglove.schemas import SCHEMAS
-from deploy.recording.mcap_reader import MAGIC, read_mcap
+from deploy.recording.mcap_reader import read_mcap
+from deploy.recording.mcap_writer import MAGIC
 from deploy.recording.message_json import reader, schema, to_json
 from deploy.recording.recorder import (
     CHANNELS_MAX,
@@ -321,7 +322,7 @@ def test_a_disk_that_fills_up_is_said_once_and_ends_quietly(tmp_path: Path) -> N
             return getattr(self._stream, name)
 
     recorder = Recorder(tmp_path / "run.mcap", FLEET)
-    recorder._writer._Writer__stream = Full(recorder._stream)  # type: ignore[attr-defined]
+    recorder._writer._stream = Full(recorder._stream)  # type: ignore[assignment]
     recorder.record(EPOCH_NS, "some/key", b"buffered")
     with pytest.raises(RecordingError, match=r"run\.mcap: No space left on device"):
         recorder.record(EPOCH_NS + 2 * 10**9, "some/key", b"flushes")
