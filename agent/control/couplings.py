@@ -63,11 +63,12 @@ class Coupling:
     def force(self, constraints: list[Constraint]) -> Vector:
         """Own constraint force F_c (32), m/s^2; moves the multipliers on by one tick."""
         values = self.values(constraints, [self._multipliers.get(each.key, 0.0) for each in constraints])
+        multipliers: dict[Key, float] = {}
         for k, each in enumerate(constraints):
             if each.one_sided:
                 values[k] = law.repelling(values[k])
-        self._multipliers = {each.key: value for each, value in zip(constraints, values, strict=True)}
-        self._constraints = constraints
+            multipliers[each.key] = values[k]
+        self._multipliers, self._constraints = multipliers, constraints
         return _total(constraints, values)
 
     def multiplier(self, key: Key) -> float:
@@ -137,8 +138,8 @@ COUPLINGS: Final[Mapping[str, type[Coupling]]] = {"joint": Joint, "edge": EdgeBy
 def _total(constraints: list[Constraint], values: list[float]) -> Vector:
     """Own constraint force (32) with these multipliers, m/s^2."""
     cx = cy = 0.0
-    for each, value in zip(constraints, values, strict=True):
-        fx, fy = law.force(each.edge, value)
+    for k, each in enumerate(constraints):
+        fx, fy = law.force(each.edge, values[k])
         cx += fx
         cy += fy
     return cx, cy

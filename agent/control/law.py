@@ -181,7 +181,7 @@ def force(e: Edge, multiplier: float) -> Vector:
 
 def repelling(multiplier: float) -> float:
     """Multiplier of a one-sided constraint: it pushes apart (lambda > 0 where rho < d), never pulls (U1)."""
-    return max(0.0, multiplier)
+    return multiplier if multiplier > 0.0 else 0.0
 
 
 def navigation_force(acceleration: float, error: float, error_rate: float, c1: float, c2: float) -> float:
