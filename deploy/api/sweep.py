@@ -1,4 +1,4 @@
-"""Many runs of a fleet over a grid of its fields, in virtual time, on all cores."""
+"""Many runs of a fleet over a grid of its fields, in virtual time, on all cores or a cluster."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from deploy.api.changes import Classes, in_words_of_python, toml
 from deploy.api.fleet import Changes, Fleet, Source, load, names_known
 from deploy.api.given import Known, flags, whole
 from deploy.api.recording import data_frame
+from deploy.cluster.choose import make_engine
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
-from deploy.simulate.worker_pool import Pool, Work, cores
+from deploy.simulate.worker_pool import Work, cores
 from deploy.sweep.plan import Axis, Plan, Question, make_plan, parse_axis
 from deploy.sweep.run import PASSED, Row, Runs
 from deploy.sweep.summary import Cell, margin_axis, margins, summarise
@@ -159,6 +160,7 @@ def sweep(
     *,
     seeds: int = 1,
     workers: int | None = None,
+    cluster: str | None = None,
     random_starts: bool | float = False,
     check: bool = True,
     progress: bool = False,
@@ -172,17 +174,21 @@ def sweep(
             combinations are driven. Values may be classes: ``{"control.law": [MyLaw, OtherLaw]}``.
         seeds: how many runs of each combination, each with other noise; the same ones in each.
         workers: processes (default: the number of cores).
+        cluster: drives on other machines: ``tcp://host:port`` or ``tls://host:port`` of a Dask scheduler, its
+            scheduler file, or ``ssh:FLEET`` for the hosts of a fleet file.
         random_starts: every seed starts somewhere else, in a square with this side (m), or one that suits.
         check: refuses a grid in which `check` finds errors.
         progress: shows on stderr how far it is.
 
     Raises:
-        Error: the grid is not sound.
+        Error: the grid is not sound; or the cluster cannot be used, or was lost.
     """
     flags(check=check, progress=progress)
     loaded = load(fleet, changes, **named)
     if over is not None and not isinstance(over, Mapping):
         raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
+    if cluster is not None and workers is not None:
+        raise Error("workers are this machine's processes, a cluster says its own: leave one out")
     jobs = cores() if workers is None else whole(workers, "workers", 1)
     seeds = whole(seeds, "seeds", 1)
     side: Any = None if random_starts is False else 0.0 if random_starts is True else random_starts
@@ -209,8 +215,9 @@ def sweep(
     work: Work[Row] = _Carried(Runs(plan), classes.known) if classes.known else Runs(plan)
     interrupt = Interrupt()
     show = make_progress(sys.stderr, plan.runs, quiet=not progress, trouble="unsafe or not settled")
-    with interrupt.caught(), show, Pool(work, jobs, RUN_S_MAX) as pool:
-        for row in pool.results(plan.order(), lambda: interrupt.count == 0):
+    engine = make_engine(cluster, work, jobs, RUN_S_MAX, show, plan.cells)
+    with interrupt.caught(), show, engine:
+        for row in engine.results(plan.order(), lambda: interrupt.count == 0):
             rows[row.run] = row
             show.add(trouble=not row.good)
     if interrupt.count:

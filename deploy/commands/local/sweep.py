@@ -9,16 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.exit import INTERRUPTED, PASSED
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
 from agent.fleet.model import FleetError
 from deploy.console.arguments import (
     change_arguments,
     describe,
+    engine_arguments,
     fleet_path,
     fleet_text,
     overrides,
     place_for,
+    refuse_jobs,
     scenario_path,
 )
 
@@ -37,8 +39,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     describe(
         sub,
         ". Ctrl-C keeps what is done; the same command, or `handfast "
-        "sweep DIR`, goes on. Exit status: 0 all runs were driven, whatever came of them; 2 bad input; "
-        "130 after Ctrl-C.",
+        "sweep DIR`, goes on. Exit status: 0 all runs were driven, whatever came of them; 1 the cluster was "
+        "lost before that; 2 bad input; 130 after Ctrl-C.",
     )
     sub.set_defaults(command=sweep)
     sub.add_argument(
@@ -61,7 +63,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         help="every repeat starts somewhere else, in a square of this side (default: 4m for six robots)",
     )
     sub.add_argument("--margin", metavar="A.B", help="field whose margin is found (default: faults.delay)")
-    sub.add_argument("--jobs", type=int, metavar="N", help="runs at a time (default: the number of cores)")
+    engine_arguments(sub, "runs")
     sub.add_argument(
         "--timeout",
         default=TIMEOUT,
@@ -84,7 +86,7 @@ def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from deploy.console.interrupt import Interrupt
     from deploy.inventory.folders import out_folder
-    from deploy.simulate.worker_pool import cores
+    from deploy.simulate.worker_pool import EngineLost, cores
     from deploy.sweep.folder import SweepFolder, read_digest
     from deploy.sweep.plan import SweepError, make_plan
     from deploy.sweep.summary import margin_axis
@@ -94,6 +96,7 @@ def sweep(options: argparse.Namespace) -> int:
         jobs = cores() if options.jobs is None else options.jobs
         if jobs < 1:
             raise SweepError(f"--jobs must be at least 1, got {jobs}")
+        refuse_jobs(options)
         timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
         again, question = _question(options)
         lacking: FleetError | None = None
@@ -112,14 +115,20 @@ def sweep(options: argparse.Namespace) -> int:
                 return _write(folder, options.write)
             if lacking is not None and folder.missing:
                 raise lacking
-            _drive(folder, jobs, timeout_s, interrupt, quiet=options.quiet)
+            lost = ""
+            try:
+                _drive(folder, jobs, timeout_s, interrupt, options)
+            except EngineLost as error:
+                lost = str(error)
             if folder.missing:
                 done = plan.runs - len(folder.missing)
+                again_by = f"handfast sweep {path}" + f" --cluster {options.cluster}" * bool(options.cluster)
+                why = f"{lost}: " if lost else ""
                 print(
-                    f"{done} of {plan.runs} runs are done and kept; go on with: handfast sweep {path}",
+                    f"{why}{done} of {plan.runs} runs are done and kept; go on with: {again_by}",
                     file=sys.stderr,
                 )
-                return INTERRUPTED
+                return FAILED if lost else INTERRUPTED
             folder.complete()
             _conclude(folder, margin)
     return PASSED
@@ -213,26 +222,32 @@ def _write(folder: SweepFolder, run: int) -> int:
 # ---------------------------------------------------------------------- driving
 
 
-def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, quiet: bool) -> None:
+def _drive(
+    folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, options: argparse.Namespace
+) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
+    from deploy.cluster.choose import make_engine
     from deploy.console.progress import make_progress
-    from deploy.simulate.worker_pool import Pool
     from deploy.sweep.run import Runs
 
     missing = folder.missing
     if not missing:
         return
     plan, done = folder.plan, folder.plan.runs - len(missing)
-    if not quiet:
+    if not options.quiet:
         kept = f", {done} of them done already" if done else ""
+        where = f"{jobs} at a time" if options.cluster is None else f"on {options.cluster}"
         print(
-            f"{plan.runs} runs ({len(plan.cells)} cells, {plan.repeat} of each{kept}), {jobs} at a time, "
+            f"{plan.runs} runs ({len(plan.cells)} cells, {plan.repeat} of each{kept}), {where}, "
             f"into {folder.path}",
             file=sys.stderr,
         )
-    progress = make_progress(sys.stderr, plan.runs, done, quiet=quiet, trouble="unsafe or not settled")
-    with progress, Pool(Runs(plan), jobs, timeout_s) as pool:
-        for row in pool.results(missing, lambda: interrupt.count == 0):
+    progress = make_progress(
+        sys.stderr, plan.runs, done, quiet=options.quiet, trouble="unsafe or not settled"
+    )
+    engine = make_engine(options.cluster, Runs(plan), jobs, timeout_s, progress, plan.cells)
+    with progress, engine:
+        for row in engine.results(missing, lambda: interrupt.count == 0):
             folder.add(row)
             progress.add(trouble=not row.good)
 
