@@ -52,9 +52,10 @@ def make_engine(
     """
     if cluster is None:
         return worker_pool.Pool(work, jobs, timeout_s)
-    with packages_named("--cluster"):
-        from deploy.cluster.engine import Cluster
-        from deploy.cluster.on_hosts import HostsCluster
+    check_cluster(cluster)
+    from deploy.cluster.engine import Cluster
+    from deploy.cluster.on_hosts import HostsCluster
+
     files = _files(fleets, show)
 
     def count(number: int) -> None:
@@ -63,8 +64,17 @@ def make_engine(
     if cluster.startswith(SSH):
         name = cluster.removeprefix(SSH)
         return HostsCluster(name, work, timeout_s, files=files, say=show.say, count=count)
-    address = _address(cluster)
-    return Cluster(address, work, timeout_s, files=files, say=show.say, count=count)
+    return Cluster(_address(cluster), work, timeout_s, files=files, say=show.say, count=count)
+
+
+def check_cluster(cluster: str | None) -> None:
+    """Refuses what cannot be a cluster, before anything is begun; raises as `make_engine`."""
+    if cluster is None:
+        return
+    if not cluster.startswith(SSH):
+        _address(cluster)
+    with packages_named("--cluster"):
+        import deploy.cluster.engine  # noqa: F401 (whether it can be)
 
 
 def _address(cluster: str) -> str | Mapping[str, str]:

@@ -85,16 +85,17 @@ def end(campaign: str) -> None:
 
 
 def wanted() -> GoOn:
-    """Whether the task that calls this is still asked for: not after it was cancelled or its client has gone,
-    which Dask tells a worker, but not the task."""
-    from distributed import get_worker
+    """Whether the task that calls this is still asked for: not after it was cancelled, or its client or the
+    scheduler has gone, which Dask tells a worker, but not the task."""
+    from distributed import Status, get_worker
 
     worker = get_worker()
     key = worker.get_current_task()
+    running = (Status.init, Status.running, Status.paused)
 
     def look() -> bool:
         task = worker.state.tasks.get(key)
-        return task is not None and task.state in ("executing", "long-running")
+        return task is not None and task.state == "executing" and worker.status in running
 
     return look
 
@@ -170,5 +171,3 @@ class Campaign:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-
-

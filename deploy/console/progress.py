@@ -55,7 +55,8 @@ class Lines:
         rate = (self._done - self._before) / max(now_s - self._begun_s, 1e-3)
         left_s = (self._total - self._done) / rate
         wrong = f", {self._trouble} {self._what}" if self._trouble else ""
-        self.say(f"{self._done} of {self._total} runs, {rate:.2f} a second, {clock(left_s)} left{self._at_work}{wrong}")
+        more = f"{self._at_work}{wrong}"
+        self.say(f"{self._done} of {self._total} runs, {rate:.2f} a second, {clock(left_s)} left{more}")
 
 
 def clock(seconds: float) -> str:
@@ -85,9 +86,7 @@ class Bar:
             speed_estimate_period=120.0,
         )
         self._before, self._done, self._what, self._trouble = done, done, trouble, 0
-        self._task = self._progress.add_task(
-            "", total=total, completed=done, rate="", at_work="", trouble=""
-        )
+        self._task = self._progress.add_task("", total=total, completed=done, rate="", at_work="", trouble="")
 
     def __enter__(self) -> Bar:
         self._begun_s = time.monotonic()

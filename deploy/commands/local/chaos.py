@@ -99,7 +99,7 @@ def chaos(options: argparse.Namespace) -> int:
     from deploy.chaos.draw import PROFILES, seeds_of
     from deploy.chaos.report import Tally, conclusion, lines
     from deploy.chaos.run_real import real_results
-    from deploy.cluster.choose import make_engine
+    from deploy.cluster.choose import check_cluster, make_engine
     from deploy.console.interrupt import Interrupt
     from deploy.console.progress import make_progress
     from deploy.console.wording import some
@@ -118,6 +118,7 @@ def chaos(options: argparse.Namespace) -> int:
     if options.cluster is not None and options.real:
         raise InputError("--cluster is for virtual time: with --real processes are on this machine")
     refuse_jobs(options)
+    check_cluster(options.cluster)
     seeds = seeds_of(options.profile, options.seed, options.count)
     out = Path(options.out)
     if options.write:

@@ -51,7 +51,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="A.B=V,V,...",
-        help="vary a field over these values, repeatedly: all combinations are driven",
+        help="vary a field over these values, repeatedly: all combinations are driven; or A.B=LOW..HIGH: "
+        "every run draws it",
     )
     sub.add_argument("--repeat", type=int, metavar="N", help="runs of each cell (default: 1)")
     change_arguments(sub)
@@ -84,6 +85,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
+    from deploy.cluster.choose import check_cluster
     from deploy.console.interrupt import Interrupt
     from deploy.inventory.folders import out_folder
     from deploy.simulate.worker_pool import EngineLost, cores
@@ -97,6 +99,7 @@ def sweep(options: argparse.Namespace) -> int:
         if jobs < 1:
             raise SweepError(f"--jobs must be at least 1, got {jobs}")
         refuse_jobs(options)
+        check_cluster(options.cluster)
         timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
         again, question = _question(options)
         lacking: FleetError | None = None
@@ -137,7 +140,7 @@ def sweep(options: argparse.Namespace) -> int:
 def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     """What is asked, and the folder of the sweep that asks it when one is gone on with."""
     from deploy.sweep.folder import SWEEP_FILE, read_question
-    from deploy.sweep.plan import Question, SweepError, parse_axis
+    from deploy.sweep.plan import Axis, Question, Range, SweepError, parse_over
 
     folder = Path(options.fleet)
     if folder.is_dir():
@@ -153,14 +156,16 @@ def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     starts = options.random_starts
     if starts:
         starts = _quantity(starts, "m", "--random-starts", '"4m"')
+    over = [parse_over(text) for text in options.over]
     return None, Question(
         str(path),
         fleet_text(path, scenario_path(options.faults) if options.faults is not None else None),
         options.law,
         tuple(overrides(options)),
-        tuple(parse_axis(text) for text in options.over),
+        tuple(each for each in over if isinstance(each, Axis)),
         1 if options.repeat is None else options.repeat,
         0.0 if starts == "" else starts,
+        tuple(each for each in over if isinstance(each, Range)),
     )
 
 
@@ -181,13 +186,15 @@ def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
     found: dict[tuple[str, str], tuple[str, list[int]]] = {}
     for cell in range(len(plan.cells)):
         try:
-            fleet = plan.fleet(cell * plan.repeat)
+            fleets = plan.samples(cell)
         except ValueError as error:
             raise SweepError(f"--random-starts: {error}") from None
-        for finding in check(fleet):
+        for finding in {str(each): each for fleet in fleets for each in check(fleet)}.values():
             if finding.level == "error" or (finding.level == "warning" and not options.quiet):
                 # The same thing in many cells, with other numbers in it, is said once.
-                found.setdefault((finding.level, finding.place), (str(finding), []))[1].append(cell)
+                cells = found.setdefault((finding.level, finding.place), (str(finding), []))[1]
+                if cell not in cells[-1:]:
+                    cells.append(cell)
     for text, cells in list(found.values())[:FINDINGS_MAX]:
         more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
         everywhere = len(cells) == len(plan.cells)
@@ -215,7 +222,7 @@ def _write(folder: SweepFolder, run: int) -> int:
         path.write_text(tomli_w.dumps(to_dict(plan.fleet(run))), encoding="utf-8")
     except OSError as error:
         raise SweepError(f"cannot write {path}: {error.strerror or error}") from None
-    print(f"wrote {path} ({plan.name(run // plan.repeat)}); next: handfast simulate {path}")
+    print(f"wrote {path} ({plan.run_name(run)}); next: handfast simulate {path}")
     return PASSED
 
 
