@@ -132,11 +132,11 @@ class Sweep:
         from deploy.report.plotting import styled
         from deploy.sweep.figures import drawings
 
-        if not self.fields:
+        if not self.fields and not self._plan.ranges:
             raise Error("nothing is varied: there is nothing to plot")
         axis, cells = margin_axis(self._plan, None), self._cells
         found = margins(self._plan, cells, axis) if axis is not None else []
-        known = drawings(self._plan, cells, axis, found)
+        known = drawings(self._plan, cells, axis, found, self._rows)
         draw = Known("picture", known)[next(iter(known)) if name is None else name]
         with styled():
             return draw()

@@ -264,6 +264,7 @@ def _drive(
 
 def _conclude(folder: SweepFolder, margin: int | None) -> None:
     """Writes summary and pictures, and says what was found."""
+    from deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim
     from deploy.sweep.figures import write_sweep_figures
     from deploy.sweep.folder import csv_bytes, replace_file
     from deploy.sweep.plan import SweepError
@@ -273,13 +274,15 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
     plan = folder.plan
     cells = summarise(plan, folder.rows)
     found = margins(plan, cells, margin) if margin is not None else []
+    claim = make_claim(plan, folder.rows) if plan.ranges else None
+    whole = {"all": claim_json(claim)} if claim is not None else {}
     try:
         replace_file(folder.path / "summary.csv", csv_bytes(summary_table(plan, cells)))
-        text = json.dumps(summary_json(plan, cells, found), indent=2, allow_nan=False) + "\n"
+        text = json.dumps(summary_json(plan, cells, found) | whole, indent=2, allow_nan=False) + "\n"
         replace_file(folder.path / "summary.json", text.encode())
     except OSError as error:
         raise SweepError(f"cannot write the summary into {folder.path}: {error.strerror or error}") from None
-    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found)
+    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found, folder.rows)
     if len(cells) <= ROWS_MAX:
         each = shown()
         heads = [f"{one.picture.heading} {one.picture.unit}" for one in each]
@@ -298,6 +301,8 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
         if found_in:
             first = found_in[0]
             print(f"{len(found_in)} of {plan.runs} runs {what}; run {first.run}: {printable(first.reason)}")
+    if claim is not None:
+        print("\n".join(filter(None, [*claim_lines(claim), cost_line(plan, driven)])))
     for margin_found in found[:ROWS_MAX]:
         print(f"margin of {margin_found}")
     if len(found) > ROWS_MAX:
