@@ -24,7 +24,7 @@ from deploy.cluster.choose import make_engine
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
 from deploy.simulate.worker_pool import Work, cores
-from deploy.sweep.plan import Axis, Plan, Question, make_plan, parse_axis
+from deploy.sweep.plan import Axis, Plan, Question, Range, make_plan, parse_axis, parse_over
 from deploy.sweep.run import PASSED, Row, Runs
 from deploy.sweep.summary import Cell, margin_axis, margins, summarise
 from deploy.verdict.metrics import columns
@@ -59,7 +59,7 @@ class Sweep:
 
     @cached_property
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """One row for each run: the fields, ``seed``, ``passed``, ``safe``, ``settled``, the metrics (NaN
+        """One row for each run: the fields, those that were drawn, ``seed``, ``passed``, ``safe``, ``settled``, the metrics (NaN
         where a run has none), ``reason`` (why it did not pass)."""
         rows = [self._rows[run] for run in range(self._plan.runs)]
         found: dict[str, NDArray[Any]] = {}
@@ -69,6 +69,9 @@ class Sweep:
             shown = [each.__name__ if isinstance(each, type) else each for each in chosen]
             plain = all(isinstance(each, (bool, int, float, str)) for each in shown)
             found[field] = np.array(shown if plain else [str(each) for each in shown])
+        drawn = np.array([self._plan.drawn(run) for run in range(self._plan.runs)], dtype=np.float64)
+        for place_of, each in enumerate(self._plan.ranges):
+            found[each.field] = drawn[:, place_of]
         found["seed"] = np.array([row.seed for row in rows])
         found["passed"] = np.array([row.verdict == PASSED for row in rows])
         found["safe"] = np.array([row.safe is True for row in rows])
@@ -155,7 +158,7 @@ class Sweep:
 @packages_named("handfast.sweep")
 def sweep(
     fleet: Source,
-    over: Mapping[str, Iterable[object]] | None = None,
+    over: Mapping[str, Iterable[object] | str] | None = None,
     changes: Mapping[str, object] | None = None,
     *,
     seeds: int = 1,
@@ -171,7 +174,8 @@ def sweep(
     Args:
         fleet, changes, named: as `load` takes them.
         over: values by field, such as ``{"control.kp": [0.5, 1, 2], "faults.loss": [0, 0.2]}``: all
-            combinations are driven. Values may be classes: ``{"control.law": [MyLaw, OtherLaw]}``.
+            combinations are driven. Values may be classes: ``{"control.law": [MyLaw, OtherLaw]}``. A text
+            ``"0..1.4s"`` is a range: every run draws a number of it, a column.
         seeds: how many runs of each combination, each with other noise; the same ones in each.
         workers: processes (default: the number of cores).
         cluster: drives on other machines: ``tcp://host:port`` or ``tls://host:port`` of a Dask scheduler, its
@@ -198,15 +202,17 @@ def sweep(
         )
     classes = Classes(loaded.classes)
     with in_words_of_python():
-        axes, values = _axes(over or {}, classes)
+        axes, ranges, values = _axes(over or {}, classes)
+        varied = {*values, *(each.field for each in ranges)}
         question = Question(
             loaded.source,
             loaded.text,
             loaded.law,
-            tuple(each for field, each in loaded.overrides.items() if field not in values),
+            tuple(each for field, each in loaded.overrides.items() if field not in varied),
             axes,
             seeds,
             None if side is None else float(side),
+            ranges,
         )
         plan = make_plan(question)
     if check:
@@ -226,11 +232,16 @@ def sweep(
 
 
 def _axes(
-    over: Mapping[str, Iterable[object]], classes: Classes
-) -> tuple[tuple[Axis, ...], dict[str, Sequence[object]]]:
+    over: Mapping[str, Iterable[object] | str], classes: Classes
+) -> tuple[tuple[Axis, ...], tuple[Range, ...], dict[str, Sequence[object]]]:
+    """The grid, what is drawn, and the grid's values by field."""
     axes: list[Axis] = []
+    ranges: list[Range] = []
     values: dict[str, Sequence[object]] = {}
     for field, given in over.items():
+        if isinstance(given, str) and isinstance(drawn := _drawn(field, given), Range):
+            ranges.append(drawn)
+            continue
         if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
             raise Error(f"{field}: a list of values was expected, got {given!r}")
         if field == "fleet.seed":
@@ -240,7 +251,11 @@ def _axes(
             raise Error(f"{field}: no values are given")
         axes.append(parse_axis(f"{field}={','.join(text for text, _ in pairs)}"))
         values[field] = [dict(pairs)[text] for text in axes[-1].values]
-    return tuple(axes), values
+    return tuple(axes), tuple(ranges), values
+
+
+def _drawn(field: str, text: str) -> Axis | Range | None:
+    return parse_over(f"{field}={text}") if ".." in text else None
 
 
 def _refuse_errors(plan: Plan) -> None:
@@ -248,7 +263,8 @@ def _refuse_errors(plan: Plan) -> None:
 
     for cell in range(len(plan.cells)):
         try:
-            errors = [each for each in check(plan.fleet(cell * plan.repeat)) if each.level == "error"]
+            found = [each for fleet in plan.samples(cell) for each in check(fleet)]
+            errors = [each for each in found if each.level == "error"]
         except ValueError as error:
             raise Error(f"random_starts: {error}") from None
         if errors:

@@ -272,8 +272,8 @@ class Cluster(Generic[T]):
         self._worked |= not isinstance(found, Unreadable)
         given.future.release()
         if isinstance(found, Unreadable):
-            waiting.appendleft(given.run)
             self._refuse(given.worker, found.why, waiting)
+            waiting.appendleft(given.run)
         elif isinstance(found, Unfinished):
             yield self._work.unfinished(given.run, found.reason, found.wall_s, timed_out=found.timed_out)
         else:

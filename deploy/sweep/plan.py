@@ -91,7 +91,8 @@ def _plain(number: float) -> str:
 
 
 def parse_over(text: str) -> Axis | Range:
-    """Reads one ``--over``: values (`parse_axis`), or a range ``table.field=low..high``.
+    """Reads one ``--over``: values (`parse_axis`), or a range ``table.field=low..high``, whose unit may stand
+    behind its end alone.
 
     Raises:
         SweepError: it is neither.
@@ -101,13 +102,15 @@ def parse_over(text: str) -> Axis | Range:
     if not dots or not low or not high:
         return parse_axis(text)
     keys = [key.strip() for key in path.split(".")]
+    if number(low, "") is not None:
+        low += high.lstrip("+-.0123456789eE")  # 10..50% is 10 % to 50 %
     numbers, unit = _numbers(keys, (low, high))
     if numbers is None:
         return parse_axis(text)
     name = parse_axis(f"{path}={low}").field
     if not numbers[0] < numbers[1]:
         raise SweepError(f"--over {printable(text)}: the range must begin below its end, such as 0..1.4s")
-    return Range(name, numbers[0], numbers[1], unit, f"{low}..{high}")
+    return Range(name, numbers[0], numbers[1], unit, written.strip())
 
 
 def parse_axis(text: str) -> Axis:

@@ -47,7 +47,7 @@ class Row:
     settled: bool | None = None
     numbers: Mapping[str, float] = field(default_factory=dict)
     wall_s: float = 0.0
-    cpu_s: float = 0.0
+    cpu_s: float = field(default=0.0, compare=False)
 
     @property
     def good(self) -> bool:

@@ -1,4 +1,4 @@
-"""`handfast sweep --cluster ssh:FLEET`: workers on test hosts, one of which is cut off, the other's killed."""
+"""`handfast sweep --cluster ssh:FLEET`: workers on test hosts; one is cut off, the other one's is killed."""
 
 from __future__ import annotations
 

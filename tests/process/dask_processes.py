@@ -1,0 +1,109 @@
+"""A Dask scheduler and its workers as real processes on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+from tests.process.harness import ADDRESS, ROOT, children, environment, wait_for
+
+START_S: Final = 90.0
+
+
+class DaskProcesses:
+    """A scheduler and its workers, each with one thread; a context manager.
+
+    Args:
+        folder: for their files; the scheduler's is `file`.
+        workers: how many are started with it.
+    """
+
+    def __init__(self, folder: Path, workers: int = 2) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder, self._count = folder, workers
+        self.file = folder / "scheduler.json"
+        self.workers: list[subprocess.Popen[bytes]] = []
+        self.scheduler: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> DaskProcesses:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in filter(None, (*self.workers, self.scheduler)):
+            left = [*children(process.pid), process.pid] if process.poll() is None else []
+            for pid in left:
+                try:
+                    os.kill(pid, signal.SIGKILL)
+                except ProcessLookupError:
+                    continue
+            process.wait()
+
+    def start(self) -> None:
+        """Starts a scheduler, and workers of it."""
+        self.file.unlink(missing_ok=True)
+        self.scheduler = self._process(
+            "scheduler", "--host", ADDRESS, "--port", "0", "--no-dashboard", "--no-jupyter"
+        )
+        wait_for(self.file.exists, "the scheduler", START_S, self.told)
+        for _ in range(self._count):
+            self.add_worker()
+
+    @property
+    def address(self) -> str:
+        """``tcp://host:port`` of the scheduler."""
+        return str(json.loads(self.file.read_text())["address"])
+
+    def add_worker(self, source: Path = ROOT) -> None:
+        """Starts a worker whose handfast is that of another tree than the one under test."""
+        self.workers.append(
+            self._process(
+                "worker", "--nthreads", "1", "--host", ADDRESS, "--no-dashboard", "--local-directory",
+                str(self._folder), source=source,
+            )
+        )  # fmt: skip
+
+    def worker_process(self, number: int) -> int:
+        """The process of a worker, below its nanny; those that drive runs are below it."""
+
+        def look() -> int:
+            found = children(self.workers[number].pid)
+            return next((pid for pid, words in found.items() if "spawn_main" in words), 0)
+
+        return wait_for(look, "a worker", START_S, self.told)
+
+    def told(self) -> str:
+        """What they said last."""
+        logs = sorted(self._folder.glob("*.log"))
+        return "\n".join(f"{log.name}: {log.read_text(errors='replace')[-2000:]}" for log in logs)
+
+    def _process(self, kind: str, *arguments: str, source: Path = ROOT) -> subprocess.Popen[bytes]:
+        words = [sys.executable, "-P", "-m", f"distributed.cli.dask_{kind}"]
+        log = self._folder / f"{kind}-{len(self.workers)}.log"
+        with open(log, "ab") as output:
+            return subprocess.Popen(
+                [*words, *arguments, "--scheduler-file", str(self.file)],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                env=environment() | {"PYTHONPATH": str(source), "TMPDIR": str(self._folder)},
+            )
+
+
+def changed_copy(folder: Path) -> Path:
+    """A tree of our packages that differs from this one in a comment."""
+    for package in ("agent", "plant", "bridges", "deploy"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "handfast.py", folder)
+    with open(folder / "agent" / "core.py", "a", encoding="utf-8") as file:
+        file.write("# a change\n")
+    return folder
