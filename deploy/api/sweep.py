@@ -59,8 +59,8 @@ class Sweep:
 
     @cached_property
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """One row for each run: the fields, those that were drawn, ``seed``, ``passed``, ``safe``, ``settled``, the metrics (NaN
-        where a run has none), ``reason`` (why it did not pass)."""
+        """One row for each run: the fields, those that were drawn, ``seed``, ``passed``, ``safe``,
+        ``settled``, the metrics (NaN where a run has none), ``reason`` (why it did not pass)."""
         rows = [self._rows[run] for run in range(self._plan.runs)]
         found: dict[str, NDArray[Any]] = {}
         places = np.indices(self.shape).reshape(len(self.shape), len(self._plan.cells))

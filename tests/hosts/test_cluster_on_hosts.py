@@ -19,7 +19,7 @@ from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
 from tests.process.harness import ROOT, wait_for
 
-SWEEP = ("pair", "--duration", "20s", "--over", "control.kp=0.5,1", "--repeat", "8", "--random-starts")
+SWEEP = ("pair", "--duration", "8s", "--over", "control.kp=0.5,1", "--repeat", "7", "--random-starts")
 WORKER = "deploy.cluster.worker_process"
 TIMEOUT_S = 120.0
 

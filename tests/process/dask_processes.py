@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Final
@@ -31,9 +32,14 @@ class DaskProcesses:
         self.file = folder / "scheduler.json"
         self.workers: list[subprocess.Popen[bytes]] = []
         self.scheduler: subprocess.Popen[bytes] | None = None
+        self._logs = 0
 
     def __enter__(self) -> DaskProcesses:
-        self.start()
+        try:
+            self.start()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
         return self
 
     def __exit__(
@@ -49,28 +55,35 @@ class DaskProcesses:
             process.wait()
 
     def start(self) -> None:
-        """Starts a scheduler, and workers of it."""
+        """Starts a scheduler, and workers of it; waits until it knows them."""
         self.file.unlink(missing_ok=True)
         self.scheduler = self._process(
             "scheduler", "--host", ADDRESS, "--port", "0", "--no-dashboard", "--no-jupyter"
         )
         wait_for(self.file.exists, "the scheduler", START_S, self.told)
-        for _ in range(self._count):
-            self.add_worker()
+        logs = [self.add_worker() for _ in range(self._count)]
+        for log in logs:
+            wait_for(partial(_registered, log), "a worker", START_S, self.told)
 
     @property
     def address(self) -> str:
         """``tcp://host:port`` of the scheduler."""
         return str(json.loads(self.file.read_text())["address"])
 
-    def add_worker(self, source: Path = ROOT) -> None:
-        """Starts a worker whose handfast is that of another tree than the one under test."""
-        self.workers.append(
-            self._process(
-                "worker", "--nthreads", "1", "--host", ADDRESS, "--no-dashboard", "--local-directory",
-                str(self._folder), source=source,
-            )
-        )  # fmt: skip
+    def add_worker(self, source: Path = ROOT) -> Path:
+        """Starts a worker, whose handfast may be that of another tree than the one under test; returns its
+        log."""
+        words = (
+            "--nthreads",
+            "1",
+            "--host",
+            ADDRESS,
+            "--no-dashboard",
+            "--local-directory",
+            str(self._folder),
+        )
+        self.workers.append(self._process("worker", *words, source=source))
+        return self._log("worker")
 
     def worker_process(self, number: int) -> int:
         """The process of a worker, below its nanny; those that drive runs are below it."""
@@ -88,8 +101,8 @@ class DaskProcesses:
 
     def _process(self, kind: str, *arguments: str, source: Path = ROOT) -> subprocess.Popen[bytes]:
         words = [sys.executable, "-P", "-m", f"distributed.cli.dask_{kind}"]
-        log = self._folder / f"{kind}-{len(self.workers)}.log"
-        with open(log, "ab") as output:
+        self._logs += 1
+        with open(self._log(kind), "wb") as output:
             return subprocess.Popen(
                 [*words, *arguments, "--scheduler-file", str(self.file)],
                 stdin=subprocess.DEVNULL,
@@ -97,6 +110,13 @@ class DaskProcesses:
                 stderr=output,
                 env=environment() | {"PYTHONPATH": str(source), "TMPDIR": str(self._folder)},
             )
+
+    def _log(self, kind: str) -> Path:
+        return self._folder / f"{kind}-{self._logs}.log"
+
+
+def _registered(log: Path) -> bool:
+    return "Registered to" in log.read_text()
 
 
 def changed_copy(folder: Path) -> Path:

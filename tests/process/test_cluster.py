@@ -18,8 +18,8 @@ from tests.process.harness import Command, children, no_trouble, wait_for
 from tests.process.killing_work import HANGS, KILLS, KillingWork
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # Dask's own, of sockets of the dead
-SWEEP = ("pair", "--duration", "4s", "--over", "control.kp=0.5,1", "--over", "faults.delay=0..200ms")
-REPEAT = ("--repeat", "7", "--random-starts")
+SWEEP = ("pair", "--duration", "3s", "--over", "control.kp=0.5,1", "--over", "faults.delay=0..200ms")
+REPEAT = ("--repeat", "5", "--random-starts")
 STATUS_S = 100.0
 
 
@@ -56,7 +56,7 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("local")
     with Command(folder, "sweep", *SWEEP, *REPEAT, "--out", "out") as command:
         assert command.wait(STATUS_S) == 0, command.told()
-    assert "14 runs, 0 unsafe: with 95 % confidence at most 19.3 % of such runs are unsafe" in command.out
+    assert "10 runs, 0 unsafe: with 95 % confidence at most 25.9 % of such runs are unsafe" in command.out
     return folder / "out"
 
 
@@ -95,7 +95,7 @@ def test_a_worker_the_command_and_the_scheduler_are_lost_and_the_folder_is_the_s
         dask.scheduler.wait()
         assert command.wait(STATUS_S) == 1, command.told()
     assert re.search(
-        r"^the scheduler tcp://\S+ is gone: \d+ of 14 runs are done and kept; go on with: "
+        r"^the scheduler tcp://\S+ is gone: \d+ of 10 runs are done and kept; go on with: "
         r"handfast sweep out --cluster tcp://\S+$",
         command.err,
         re.MULTILINE,
@@ -134,7 +134,7 @@ def test_chaos_says_the_same(lasting: DaskProcesses, tmp_path: Path) -> None:
     said = []
     for more in ((), ("--cluster", lasting.address)):
         with Command(
-            tmp_path, "chaos", "--profile", "scale", "--count", "2", "--out", "out", *more
+            tmp_path, "chaos", "--profile", "scale", "--count", "1", "--out", "out", *more
         ) as command:
             assert command.wait(STATUS_S) == 0, command.told()
         said.append(command.out)
