@@ -53,6 +53,10 @@ class _Given:
     future: Any
 
 
+class _Cancelled:
+    """What came of a run whose future was cancelled: nothing."""
+
+
 @dataclass
 class _Worker:
     """A worker that may be given runs: those that it has, in the order in which it got them."""
@@ -77,6 +81,7 @@ class Cluster(Generic[T]):
         count: is told how many runs are driven at a time, whenever that changes.
         security: of the connections; else as Dask's configuration has it.
         broken: says why there will be no workers any more, None while there may be.
+        expects: how many workers there will be, 0 where nobody knows.
         patience_s: so long it waits for a worker when it has none.
         name: how the scheduler is called in messages; else by its address.
 
@@ -95,12 +100,13 @@ class Cluster(Generic[T]):
         count: Callable[[int], None] = lambda _: None,
         security: Security | None = None,
         broken: Callable[[], str | None] = lambda: None,
+        expects: Callable[[], int] = lambda: 0,
         patience_s: float = WORKERS_S,
         name: str = "",
     ) -> None:
         self._address, self._work, self._timeout_s, self._files = address, work, timeout_s, files
         self._say, self._count, self._security, self._broken = say, count, security, broken
-        self._patience_s, self._called = patience_s, name
+        self._expects, self._patience_s, self._called = expects, patience_s, name
         self._campaign = uuid.uuid4().hex
         self._workers: dict[str, _Worker] = {}
         self._deaths: dict[int, list[str]] = {}
@@ -213,7 +219,8 @@ class Cluster(Generic[T]):
         kind = EngineLost if self._worked else ClusterError
         if (why := self._broken()) is not None:
             raise kind(why)
-        if self._watch.seen.refused and not self._watch.seen.unknown:
+        seen = self._watch.seen
+        if seen.refused >= max(1, self._expects()) and not seen.unknown:
             raise kind(f"no worker of {self.name} can be used; each has another installation than this one")
         if waited_s > self._patience_s:
             raise kind(f"there is no worker at {self.name}: none has come within {self._patience_s:.0f} s")
@@ -261,17 +268,21 @@ class Cluster(Generic[T]):
         except TimeoutError:
             self._ended.put(given.future.key)  # unless its worker is gone, which shows
             return
-        except (distributed.KilledWorker, distributed.client.FutureCancelledError):
-            return  # its worker, or the scheduler, is gone, which shows
+        except distributed.KilledWorker:
+            return  # its worker is gone, which shows
+        except distributed.client.FutureCancelledError:
+            found = _Cancelled()  # by others, or the scheduler is gone, which shows
         except UnknownCampaign:
             self._watch.forget(given.worker)
             return
         except Exception as error:
             found = Unreadable(error_line(error))
         del worker.given[given.future.key]
-        self._worked |= not isinstance(found, Unreadable)
+        self._worked |= not isinstance(found, (Unreadable, _Cancelled))
         given.future.release()
-        if isinstance(found, Unreadable):
+        if isinstance(found, _Cancelled):
+            waiting.appendleft(given.run)
+        elif isinstance(found, Unreadable):
             self._refuse(given.worker, found.why, waiting)
             waiting.appendleft(given.run)
         elif isinstance(found, Unfinished):

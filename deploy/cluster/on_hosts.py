@@ -93,8 +93,8 @@ class HostsCluster(Generic[T]):
             stack.callback(self._end)
             cluster = Cluster(
                 f"tls://127.0.0.1:{self._port}", self._work, self._timeout_s, files=self._files,
-                say=self._say, count=self._count, security=trust, broken=self._broken, patience_s=inf,
-                name=f"ssh:{self._name}",
+                say=self._say, count=self._count, security=trust, broken=self._broken,
+                expects=self._expected, patience_s=inf, name=f"ssh:{self._name}",
             )  # fmt: skip
             self._cluster = stack.enter_context(cluster)
             self._left = stack.pop_all()
@@ -123,6 +123,10 @@ class HostsCluster(Generic[T]):
             return None
         why = "; ".join(f"{row.host}: {row.step}" for row in rows)
         return f"no host of {self._name} has a worker: {why}"
+
+    def _expected(self) -> int:
+        """How many hosts have a worker, or will have."""
+        return sum(row.state == DOING for row in self._jobs.rows.values())
 
     def _serve(self, connection: HostConnection, row: Row) -> None:
         """Has a host work until the campaign ends."""

@@ -13,6 +13,7 @@ import pytest
 
 from deploy.cluster.engine import Cluster
 from deploy.cluster.watch import ClusterError
+from tests.passing_law import PassingLaw
 from tests.process.dask_processes import DaskProcesses, changed_copy
 from tests.process.harness import Command, children, no_trouble, wait_for
 from tests.process.killing_work import HANGS, KILLS, KillingWork
@@ -140,6 +141,22 @@ def test_chaos_says_the_same(lasting: DaskProcesses, tmp_path: Path) -> None:
         said.append(command.out)
     assert said[0] == said[1]
     assert said[0].endswith("driving\n")
+
+
+def test_a_law_of_others_goes_along(
+    lasting: DaskProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = PassingLaw(tmp_path, monkeypatch, "law_of_a_sweep")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    arguments = ("pair", "--law", law.reference, "--duration", "1s", "--over", "control.gone.gain=1,2")
+    with Command(tmp_path, "sweep", *arguments, "--no-check", "--out", "local") as command:
+        assert command.wait(STATUS_S) == 0, command.told()
+    with Command(
+        tmp_path, "sweep", *arguments, "--no-check", "--out", "out", "--cluster", lasting.address
+    ) as command:
+        assert command.wait(STATUS_S) == 0, command.told()
+    assert_same_folder(tmp_path / "out", tmp_path / "local")
+    assert "crashed" not in (tmp_path / "out" / "results.csv").read_text()
 
 
 def test_a_run_that_kills_its_worker_twice_and_one_that_hangs_are_results(dask: DaskProcesses) -> None:

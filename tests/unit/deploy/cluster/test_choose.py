@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ from agent.fleet.loading import load_fleet
 from deploy.cluster import choose
 from deploy.cluster.choose import ClusterOptionError, check_cluster, make_engine
 from deploy.cluster.engine import Cluster
-from deploy.console.data_files import FLEETS
+from deploy.console.data_files import FLEETS, ROOT
 from deploy.simulate.worker_pool import Pool
 from tests.passing_law import PassingLaw
 from tests.unit.deploy.cluster.test_sent import Doubles
@@ -71,8 +73,19 @@ def test_plugins_of_a_fleet_go_along(tmp_path: Path, monkeypatch: pytest.MonkeyP
     fleet = load_fleet(FLEETS / "pair.toml", law=law.reference)
     shown = Shown()
     assert set(choose._files([fleet], shown)) == {"law_that_goes_along.py"}
+    alone = replace(fleet, control=replace(fleet.control, law="KnownInThisProcess"))
+    assert choose._files([alone], shown) == {}, "such classes are in the work itself"
+    assert shown.said == []
     law.leave()
     assert choose._files([fleet], shown) == {}
     (text,) = shown.said
     assert text.startswith("law_that_goes_along: ")
     assert text.endswith("; workers need it installed")
+
+
+def test_dask_is_not_loaded_where_no_cluster_is_asked_for() -> None:
+    modules = (
+        "deploy.cluster.choose, deploy.commands.local.sweep, deploy.commands.local.chaos, deploy.api.sweep"
+    )
+    code = f"import sys, {modules}; sys.exit('distributed' in sys.modules or 'dask' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from distributed.client import FutureCancelledError
 
 from deploy.cluster import engine
 from deploy.cluster.engine import AHEAD, Cluster
@@ -209,6 +210,20 @@ def test_a_worker_that_cannot_read_the_work_is_given_nothing_and_its_runs_go_to_
     assert bench.cluster._deaths == {}
 
 
+def test_a_run_that_others_cancelled_is_given_again() -> None:
+    bench = Bench()
+    found = bench.rounds(
+        range(1),
+        lambda: bench.watch.show(a=1),
+        bench.end(0, FutureCancelledError("key", "by others")),
+        lambda: None,
+        bench.end(0),
+    )
+    assert found == ["done 0"]
+    assert len(bench.client.futures) == 2
+    assert bench.cluster._deaths == {}
+
+
 def test_what_timed_out_or_died_there_is_what_the_work_makes_of_it() -> None:
     bench = Bench()
     found = bench.rounds(
@@ -232,6 +247,8 @@ def test_without_a_worker_it_ends_with_the_reason() -> None:
     bench = Bench()
     with pytest.raises(ClusterError, match="each has another installation than this one"):
         bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
+    bench = Bench(expects=lambda: 3)  # a third one is to come
+    bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
     bench = Bench(broken=lambda: "host1: no ssh")
     with pytest.raises(ClusterError, match="host1: no ssh"):
         bench.rounds(range(1), bench.watch.show)

@@ -34,6 +34,7 @@ def test_why_no_host_works_is_said_when_none_does(tmp_path: Path) -> None:
     found._jobs = SimpleNamespace(rows=rows)  # type: ignore[assignment]
     rows["a"].fail("it does not answer")
     assert found._broken() is None
+    assert found._expected() == 1
     rows["b"].fail("the disk is full")
     assert found._broken() == (f"no host of {file} has a worker: a: it does not answer; b: the disk is full")
 
