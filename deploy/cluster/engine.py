@@ -122,6 +122,12 @@ class Cluster(Generic[T]):
         return self._address if isinstance(self._address, str) else str(next(iter(self._address.values())))
 
     def __enter__(self) -> Cluster[T]:
+        security = self._security or Security()  # as Dask's configuration has it
+        if self.name.startswith("tls://") and security.get_connection_args("client")["ssl_context"] is None:
+            raise ClusterError(
+                f"{self.name} needs certificates: name them in Dask's configuration "
+                "(distributed.comm.tls.ca-file, client.cert and client.key)"
+            )
         with ExitStack() as stack:
             stack.enter_context(_silenced())
             keywords = {"address": self._address} if isinstance(self._address, str) else self._address
@@ -129,7 +135,7 @@ class Cluster(Generic[T]):
                 warnings.simplefilter("ignore")  # of versions, which are compared and said here
                 try:
                     self._client: Any = distributed.Client(
-                        **keywords, timeout=CONNECT_S, security=self._security, set_as_default=False
+                        **keywords, timeout=CONNECT_S, security=security, set_as_default=False
                     )
                 except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
                     why = str(error) if isinstance(error, OSError) else error_line(error)

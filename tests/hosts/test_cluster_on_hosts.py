@@ -37,7 +37,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
     return found
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(400)
 def test_hosts_that_are_lost_cost_nothing_but_time(
     make_hosts: Callable[[int], Hosts], cache: Path, tmp_path: Path
 ) -> None:
@@ -64,7 +64,7 @@ def test_hosts_that_are_lost_cost_nothing_but_time(
         return results.exists() and results.read_bytes().count(b"\n") > count
 
     try:
-        wait_for(lambda: kept(2) and all(workers(host) for host in hosts), "rows, two workers", 120.0, told)
+        wait_for(lambda: kept(2) and all(workers(host) for host in hosts), "rows, two workers", 200.0, told)
         hosts[1].cut()
         for pid in workers(hosts[0]):
             if "spawn_main" in hosts[0].pids().get(pid, ""):

@@ -196,6 +196,7 @@ def test_a_worker_with_other_sources_is_given_nothing(tmp_path: Path) -> None:
     [
         ("tcp://127.0.0.1:1", "there is no scheduler at tcp://127.0.0.1:1: "),
         ("127.0.0.1:8786", "--cluster 127.0.0.1:8786: must be tcp://HOST:PORT"),
+        ("tls://127.0.0.1:1", "tls://127.0.0.1:1 needs certificates: name them in Dask's configuration"),
         ("ssh:delta", "--cluster ssh:delta: the fleet has no hosts"),
     ],
 )
