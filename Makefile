@@ -78,7 +78,7 @@ docs: $(VENV)/.dev ## write the references of the fleet file and of metrics
 	$(PY) -m tests.docs.metrics_page > docs/metrics.md
 
 # Keeps the pinned versions that still satisfy pyproject.toml; `make lock UPGRADE=1` takes the newest.
-# The others are constrained by lock.txt, so that all four files always agree.
+# The others are constrained by lock.txt, so that all of these files always agree.
 UV_COMPILE = $(VENV)/bin/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest \
 	--generate-hashes --no-build --no-annotate --no-emit-index-url --no-emit-find-links \
 	--custom-compile-command 'make lock' pyproject.toml
@@ -87,6 +87,7 @@ lock: $(VENV)/.dev ## write requirements/*.txt again (UPGRADE=1: newest versions
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra operator --group pyproject.toml:build -o requirements/operator.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover -o requirements/rover.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover --extra security --group pyproject.toml:bundle -o deploy/data/robot_requirements.txt
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra cluster --group pyproject.toml:bundle -o deploy/data/worker_requirements.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt -o requirements/core.txt
 
 setup: $(VENV)/.dev ## make .venv with everything a developer needs

@@ -7,7 +7,12 @@ from contextlib import contextmanager
 from typing import Final
 
 _OURS: Final = ("agent", "plant", "bridges", "deploy")
-_ROVER_PACKAGES: Final = ("pymap3d", "serial")
+_EXTRAS: Final = {
+    "pymap3d": ("rovers'", "rover"),
+    "serial": ("rovers'", "rover"),
+    "distributed": ("cluster's", "cluster"),
+}
+"""Of packages that are not the operator's: whose they are, and the extra that brings them."""
 
 
 class Error(Exception):
@@ -29,7 +34,7 @@ def packages_named(what: str = "this") -> Iterator[None]:
         name = (error.name or "").partition(".")[0]
         if not name or (name in _OURS and error.name != "deploy"):
             raise
-        whose, extra = ("rovers'", "rover") if name in _ROVER_PACKAGES else ("operator's", "operator")
+        whose, extra = _EXTRAS.get(name, ("operator's", "operator"))
         raise MissingPackageError(
             f"{what} needs the package {error.name}: install the {whose} extra, "
             f"pip install 'handfast[{extra}]'"

@@ -1,4 +1,4 @@
-"""Many runs of a fleet over a grid of its fields, in virtual time, on all cores."""
+"""Many runs of a fleet over a grid of its fields, in virtual time, on all cores or a cluster."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from deploy.api.changes import Classes, in_words_of_python, toml
 from deploy.api.fleet import Changes, Fleet, Source, load, names_known
 from deploy.api.given import Known, flags, whole
 from deploy.api.recording import data_frame
+from deploy.cluster.choose import make_engine
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
-from deploy.simulate.worker_pool import Pool, Work, cores
-from deploy.sweep.plan import Axis, Plan, Question, make_plan, parse_axis
+from deploy.simulate.worker_pool import Work, cores
+from deploy.sweep.plan import Axis, Plan, Question, Range, make_plan, parse_axis, parse_over
 from deploy.sweep.run import PASSED, Row, Runs
 from deploy.sweep.summary import Cell, margin_axis, margins, summarise
 from deploy.verdict.metrics import columns
@@ -58,8 +59,8 @@ class Sweep:
 
     @cached_property
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """One row for each run: the fields, ``seed``, ``passed``, ``safe``, ``settled``, the metrics (NaN
-        where a run has none), ``reason`` (why it did not pass)."""
+        """One row for each run: the fields, those that were drawn, ``seed``, ``passed``, ``safe``,
+        ``settled``, the metrics (NaN where a run has none), ``reason`` (why it did not pass)."""
         rows = [self._rows[run] for run in range(self._plan.runs)]
         found: dict[str, NDArray[Any]] = {}
         places = np.indices(self.shape).reshape(len(self.shape), len(self._plan.cells))
@@ -68,6 +69,9 @@ class Sweep:
             shown = [each.__name__ if isinstance(each, type) else each for each in chosen]
             plain = all(isinstance(each, (bool, int, float, str)) for each in shown)
             found[field] = np.array(shown if plain else [str(each) for each in shown])
+        drawn = np.array([self._plan.drawn(run) for run in range(self._plan.runs)], dtype=np.float64)
+        for place_of, each in enumerate(self._plan.ranges):
+            found[each.field] = drawn[:, place_of]
         found["seed"] = np.array([row.seed for row in rows])
         found["passed"] = np.array([row.verdict == PASSED for row in rows])
         found["safe"] = np.array([row.safe is True for row in rows])
@@ -131,11 +135,11 @@ class Sweep:
         from deploy.report.plotting import styled
         from deploy.sweep.figures import drawings
 
-        if not self.fields:
+        if not self.fields and not self._plan.ranges:
             raise Error("nothing is varied: there is nothing to plot")
         axis, cells = margin_axis(self._plan, None), self._cells
         found = margins(self._plan, cells, axis) if axis is not None else []
-        known = drawings(self._plan, cells, axis, found)
+        known = drawings(self._plan, cells, axis, found, self._rows)
         draw = Known("picture", known)[next(iter(known)) if name is None else name]
         with styled():
             return draw()
@@ -154,11 +158,12 @@ class Sweep:
 @packages_named("handfast.sweep")
 def sweep(
     fleet: Source,
-    over: Mapping[str, Iterable[object]] | None = None,
+    over: Mapping[str, Iterable[object] | str] | None = None,
     changes: Mapping[str, object] | None = None,
     *,
     seeds: int = 1,
     workers: int | None = None,
+    cluster: str | None = None,
     random_starts: bool | float = False,
     check: bool = True,
     progress: bool = False,
@@ -169,20 +174,25 @@ def sweep(
     Args:
         fleet, changes, named: as `load` takes them.
         over: values by field, such as ``{"control.kp": [0.5, 1, 2], "faults.loss": [0, 0.2]}``: all
-            combinations are driven. Values may be classes: ``{"control.law": [MyLaw, OtherLaw]}``.
+            combinations are driven. Values may be classes: ``{"control.law": [MyLaw, OtherLaw]}``. A text
+            ``"0..1.4s"`` is a range: every run draws a number of it, a column.
         seeds: how many runs of each combination, each with other noise; the same ones in each.
         workers: processes (default: the number of cores).
+        cluster: drives on other machines: ``tcp://host:port`` or ``tls://host:port`` of a Dask scheduler, its
+            scheduler file, or ``ssh:FLEET`` for the hosts of a fleet file.
         random_starts: every seed starts somewhere else, in a square with this side (m), or one that suits.
         check: refuses a grid in which `check` finds errors.
         progress: shows on stderr how far it is.
 
     Raises:
-        Error: the grid is not sound.
+        Error: the grid is not sound; or the cluster cannot be used, or was lost.
     """
     flags(check=check, progress=progress)
     loaded = load(fleet, changes, **named)
     if over is not None and not isinstance(over, Mapping):
         raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
+    if cluster is not None and workers is not None:
+        raise Error("workers are this machine's processes, a cluster says its own: leave one out")
     jobs = cores() if workers is None else whole(workers, "workers", 1)
     seeds = whole(seeds, "seeds", 1)
     side: Any = None if random_starts is False else 0.0 if random_starts is True else random_starts
@@ -192,15 +202,17 @@ def sweep(
         )
     classes = Classes(loaded.classes)
     with in_words_of_python():
-        axes, values = _axes(over or {}, classes)
+        axes, ranges, values = _axes(over or {}, classes)
+        varied = {*values, *(each.field for each in ranges)}
         question = Question(
             loaded.source,
             loaded.text,
             loaded.law,
-            tuple(each for field, each in loaded.overrides.items() if field not in values),
+            tuple(each for field, each in loaded.overrides.items() if field not in varied),
             axes,
             seeds,
             None if side is None else float(side),
+            ranges,
         )
         plan = make_plan(question)
     if check:
@@ -209,8 +221,9 @@ def sweep(
     work: Work[Row] = _Carried(Runs(plan), classes.known) if classes.known else Runs(plan)
     interrupt = Interrupt()
     show = make_progress(sys.stderr, plan.runs, quiet=not progress, trouble="unsafe or not settled")
-    with interrupt.caught(), show, Pool(work, jobs, RUN_S_MAX) as pool:
-        for row in pool.results(plan.order(), lambda: interrupt.count == 0):
+    engine = make_engine(cluster, work, jobs, RUN_S_MAX, show, plan.cells)
+    with interrupt.caught(), show, engine:
+        for row in engine.results(plan.order(), lambda: interrupt.count == 0):
             rows[row.run] = row
             show.add(trouble=not row.good)
     if interrupt.count:
@@ -219,11 +232,16 @@ def sweep(
 
 
 def _axes(
-    over: Mapping[str, Iterable[object]], classes: Classes
-) -> tuple[tuple[Axis, ...], dict[str, Sequence[object]]]:
+    over: Mapping[str, Iterable[object] | str], classes: Classes
+) -> tuple[tuple[Axis, ...], tuple[Range, ...], dict[str, Sequence[object]]]:
+    """The grid, what is drawn, and the grid's values by field."""
     axes: list[Axis] = []
+    ranges: list[Range] = []
     values: dict[str, Sequence[object]] = {}
     for field, given in over.items():
+        if isinstance(given, str) and isinstance(drawn := _drawn(field, given), Range):
+            ranges.append(drawn)
+            continue
         if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
             raise Error(f"{field}: a list of values was expected, got {given!r}")
         if field == "fleet.seed":
@@ -233,7 +251,11 @@ def _axes(
             raise Error(f"{field}: no values are given")
         axes.append(parse_axis(f"{field}={','.join(text for text, _ in pairs)}"))
         values[field] = [dict(pairs)[text] for text in axes[-1].values]
-    return tuple(axes), values
+    return tuple(axes), tuple(ranges), values
+
+
+def _drawn(field: str, text: str) -> Axis | Range | None:
+    return parse_over(f"{field}={text}") if ".." in text else None
 
 
 def _refuse_errors(plan: Plan) -> None:
@@ -241,7 +263,8 @@ def _refuse_errors(plan: Plan) -> None:
 
     for cell in range(len(plan.cells)):
         try:
-            errors = [each for each in check(plan.fleet(cell * plan.repeat)) if each.level == "error"]
+            found = [each for fleet in plan.samples(cell) for each in check(fleet)]
+            errors = [each for each in found if each.level == "error"]
         except ValueError as error:
             raise Error(f"random_starts: {error}") from None
         if errors:

@@ -176,6 +176,29 @@ def figure_formats(text: str) -> tuple[str, ...]:
     return formats
 
 
+def engine_arguments(parser: argparse.ArgumentParser, what: str) -> None:
+    """Adds where many runs are driven: ``--jobs`` on this machine, or ``--cluster``.
+
+    Args:
+        what: how the runs are called, in the plural.
+    """
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help=f"{what} at a time (default: the number of cores)"
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="WHERE",
+        help="drive on other machines: tcp://HOST:PORT or tls://HOST:PORT of a Dask scheduler, its "
+        "scheduler file, or ssh:FLEET for a fleet's hosts (default: on this machine)",
+    )
+
+
+def refuse_jobs(options: argparse.Namespace) -> None:
+    """`InputError` where ``--jobs`` is given with ``--cluster``."""
+    if options.cluster is not None and options.jobs is not None:
+        raise InputError("--jobs is of this machine, a cluster's workers say it themselves: leave one out")
+
+
 def host_argument(parser: argparse.ArgumentParser) -> None:
     """Adds ``--host NAME``, which may be given many times, as `options.hosts`."""
     parser.add_argument(

@@ -17,6 +17,7 @@ PAGE: Final = _DATA / "page"
 FOXGLOVE_LAYOUT: Final = _DATA / "foxglove" / "handfast.json"
 ANSIBLE: Final = _DATA / "ansible"
 ROBOT_REQUIREMENTS: Final = _DATA / "robot_requirements.txt"
+WORKER_REQUIREMENTS: Final = _DATA / "worker_requirements.txt"
 
 
 def bundled(folder: Path = FLEETS) -> list[str]:

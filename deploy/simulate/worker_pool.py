@@ -1,5 +1,7 @@
 """Worker processes for many runs: one run at a time each, ended when a run takes too long.
 
+`Engine` is what drives runs, `Pool` the one on this machine; `deploy.cluster` has that of many machines.
+
 A run that takes its process with it, or never ends, costs that run and nothing else: the process is
 replaced. The workers end with the process that started them.
 """
@@ -10,6 +12,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -41,6 +44,10 @@ class PoolError(Error, RuntimeError):
     """Workers cannot be started; the text is one line."""
 
 
+class EngineLost(Error):
+    """What runs are driven on is gone before all were; the text is one line, without an end."""
+
+
 class Abandoned(Exception):
     """A run that was asked to end before its time."""
 
@@ -54,6 +61,25 @@ class Work(Protocol[Result]):
 
     def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> Result:
         """The result of a run whose process died, or was ended because it took too long."""
+        ...
+
+
+class Engine(Protocol[Result]):
+    """Drives runs of a `Work`. A context manager: leaving it ends what is still under way."""
+
+    def __enter__(self) -> Engine[Result]: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def results(self, runs: Iterable[int], go_on: GoOn) -> Iterator[Result]:
+        """What came of `runs`, in whatever order they end, until all are done or `go_on` says no.
+
+        Raises:
+            PoolError: no run can be driven.
+            EngineLost: no further run can be.
+        """
         ...
 
 
@@ -71,10 +97,22 @@ def _work(connection: Connection, work: Work[Any]) -> None:
     def go_on() -> bool:
         return parent is None or parent.is_alive()
 
+    def end_with_parent() -> None:
+        assert parent is not None
+        parent.join()
+        time.sleep(END_TIMEOUT_S)  # a run that asks `go_on` has ended in order by then
+        os._exit(1)
+
+    if parent is not None:
+        threading.Thread(target=end_with_parent, daemon=True).start()
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, Abandoned):
         connection.send(_READY)
         while True:
             connection.send(work.execute(connection.recv(), go_on))
+
+
+_starting: Final = threading.Lock()
+"""Of one start at a time: what a start changes of this process, for a moment, is every thread's."""
 
 
 class _Worker:
@@ -85,19 +123,20 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs, work), daemon=True)
-        # A Ctrl-C reaches every process of a terminal, and is its starter's to answer. A mask, unlike a
-        # handler, holds from the new process's first instruction on. The tracker, which `start` would
-        # start first, undoes it: so it has to run already.
-        resource_tracker.ensure_running()
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
-        # The new process would run the program's main module once more, which a script may have no guard
-        # against, and which no run needs: it sees an empty one.
-        main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
-        try:
-            self.process.start()
-        finally:
-            sys.modules["__main__"] = main
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        with _starting:
+            # A Ctrl-C reaches every process of a terminal, and is its starter's to answer. A mask, unlike a
+            # handler, holds from the new process's first instruction on. The tracker, which `start` would
+            # start first, undoes it: so it has to run already.
+            resource_tracker.ensure_running()
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
+            # The new process would run the program's main module once more, which a script may have no guard
+            # against, and which no run needs: it sees an empty one.
+            main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+            try:
+                self.process.start()
+            finally:
+                sys.modules["__main__"] = main
+                signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()
         self.run: int | None = None
         self.ready = False

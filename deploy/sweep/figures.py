@@ -6,7 +6,7 @@ every cell has its value written in it, and what has no value is hatched and say
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -24,13 +24,15 @@ from matplotlib.patches import Rectangle
 
 from agent.formation.points import Floats
 from deploy.report.plotting import INK, PALETTE, RED, new_figure, write
-from deploy.sweep.plan import Axis, Plan
+from deploy.sweep.plan import Axis, Plan, Range
+from deploy.sweep.run import Row
 from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
 
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""
 LABEL_MAX: Final = 18
 CURVES: Final = "curves"
+DRAWN: Final = "drawn"
 _MAP: Final = "cividis"
 _HATCHED: Final = "#EDEDED"
 _MARGIN: Final = RED
@@ -80,7 +82,12 @@ def _nothing(name: str, cell: Cell) -> str:
 
 
 def write_sweep_figures(
-    folder: Path, plan: Plan, cells: Sequence[Cell], margin: int | None, found: Sequence[Margin]
+    folder: Path,
+    plan: Plan,
+    cells: Sequence[Cell],
+    margin: int | None,
+    found: Sequence[Margin],
+    rows: Mapping[int, Row],
 ) -> tuple[list[Path], str]:
     """Draws the sweep into `folder`: PNGs, and a sentence on what they leave out (mostly empty).
 
@@ -90,7 +97,7 @@ def write_sweep_figures(
         RecordingError: one cannot be written.
     """
     paths = []
-    for name, draw in drawings(plan, cells, margin, found).items():
+    for name, draw in drawings(plan, cells, margin, found, rows).items():
         paths.append(folder / f"{name}.png")
         write(paths[-1], draw)
     grid = _Grid(plan, margin) if len(plan.axes) > 2 else None
@@ -104,15 +111,22 @@ def write_sweep_figures(
 
 
 def drawings(
-    plan: Plan, cells: Sequence[Cell], margin: int | None, found: Sequence[Margin]
+    plan: Plan,
+    cells: Sequence[Cell],
+    margin: int | None,
+    found: Sequence[Margin],
+    rows: Mapping[int, Row],
 ) -> dict[str, Callable[[], Figure]]:
     """What makes each picture of a sweep, by its name; arguments as `write_sweep_figures`'s."""
+    made: dict[str, Callable[[], Figure]] = {}
+    if plan.ranges:
+        made[DRAWN] = partial(scatter, plan, rows)
     if not plan.axes:
-        return {}
+        return made
     if len(plan.axes) == 1:
-        return {CURVES: partial(curves, plan, cells, found)}
+        return made | {CURVES: partial(curves, plan, cells, found)}
     grid = _Grid(plan, margin)
-    return {
+    return made | {
         each.name: partial(heat_maps, each, grid, cells, found)
         for each in (*map(_heat_map, shown()), _SHARE_SAFE)
     }
@@ -376,6 +390,52 @@ def _line(
         return
     axes.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0)
     axes.plot(x, middle, "o-", color=color, linewidth=1.5, markersize=4, label=label)
+
+
+# --- fields that are drawn: a point for each run -----------------------------------------------
+
+
+def scatter(plan: Plan, rows: Mapping[int, Row]) -> Figure:
+    """Every run at what it has drawn: two fields across and up, of one field the settling time up.
+
+    Its colour is when it settled; what did not, was unsafe or did not finish lies on top.
+    """
+    drawn = np.array([[float(value) for value in plan.drawn(run)] for run in range(plan.runs)])
+    every = [rows[run] for run in range(plan.runs)]
+    times = _floats([row.numbers.get(SETTLING) if row.settled else None for row in every])
+    x = drawn[:, 0]
+    y = drawn[:, 1] if len(plan.ranges) > 1 else np.nan_to_num(times)
+    figure = new_figure(8.6, 5.2)
+    axes = figure.subplots()
+    size = float(np.clip(6000.0 / len(every), 2.0, 30.0))
+    settled = np.array([row.settled is True for row in every])
+    if settled.any():
+        dots = axes.scatter(
+            x[settled], y[settled], c=times[settled], s=size, cmap=f"{_MAP}_r", linewidths=0, rasterized=True
+        )
+        if len(plan.ranges) > 1:
+            bar = figure.colorbar(dots, ax=axes, pad=0.02, label="settling time (s)")
+            bar.outline.set_visible(False)
+    for label, marker, color, chosen in (
+        ("not settled", "x", PALETTE[1], [row.settled is False for row in every]),
+        ("not finished", "s", INK, [row.settled is None for row in every]),
+        ("unsafe", "D", RED, [row.safe is False for row in every]),
+    ):
+        which = np.array(chosen)
+        if which.any():
+            axes.scatter(
+                x[which], y[which], s=22.0, marker=marker, color=color, label=f"{which.sum()} {label}"
+            )
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="best")
+    axes.set_xlabel(_range_label(plan.ranges[0]))
+    axes.set_ylabel(_range_label(plan.ranges[1]) if len(plan.ranges) > 1 else "settling time (s)")
+    axes.set_title(f"{len(every)} runs, {settled.sum()} settled")
+    return figure
+
+
+def _range_label(drawn: Range) -> str:
+    return f"{drawn.field} ({drawn.unit})" if drawn.unit else drawn.field
 
 
 def _floats(values: Sequence[float | None]) -> Floats:

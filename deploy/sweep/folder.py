@@ -22,7 +22,7 @@ import tomli_w
 
 from agent.runtime.version import handfast_version
 from deploy.recording.run_files import FLEET_FILE
-from deploy.sweep.plan import Plan, Question, SweepError, parse_axis
+from deploy.sweep.plan import Axis, Plan, Question, Range, SweepError, parse_over
 from deploy.sweep.run import Row
 from deploy.verdict.metrics import columns
 
@@ -117,10 +117,9 @@ class SweepFolder:
         replace_file(known, tomli_w.dumps({"sweep": asked}).encode())
 
     def _header(self) -> list[str]:
-        fields = [axis.field for axis in self.plan.axes]
         return [
             "run",
-            *fields,
+            *self.plan.fields,
             "repeat",
             "seed",
             "settled",
@@ -132,11 +131,10 @@ class SweepFolder:
         ]
 
     def _cells(self, row: Row) -> list[str]:
-        cell, repeat = divmod(row.run, self.plan.repeat)
         return [
             str(row.run),
-            *self.plan.values(cell),
-            str(repeat),
+            *self.plan.run_values(row.run),
+            str(row.run % self.plan.repeat),
             str(row.seed),
             _word(row.settled),
             _word(row.safe),
@@ -197,14 +195,16 @@ def read_question(folder: Path) -> Question:
     table = _read_toml(folder / SWEEP_FILE)
     try:
         text = (folder / FLEET_FILE).read_text(encoding="utf-8")
+        over = [parse_over(each) for each in table["over"]]
         return Question(
             str(folder / FLEET_FILE),
             text,
             table.get("law"),
             tuple(table["set"]),
-            tuple(parse_axis(axis) for axis in table["over"]),
+            tuple(each for each in over if isinstance(each, Axis)),
             table["repeat"],
             table.get("random_starts_m"),
+            tuple(each for each in over if isinstance(each, Range)),
         )
     except OSError as error:
         raise SweepError(f"cannot read {folder / FLEET_FILE}: {error.strerror or error}") from None

@@ -1,4 +1,5 @@
-"""What a sweep asks: a grid of fields of the fleet file, each cell driven with the same starts and noise.
+"""What a sweep asks: a grid of fields of the fleet file, each cell driven with the same starts and noise; and
+fields that every run draws for itself.
 
 Nothing is driven here. `make_plan` reads the fleet of every cell and says all that is wrong with any of
 them; `Plan.fleet` is what one run drives, a pure function of the question and the run's number.
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
-from itertools import product
+from itertools import chain, product
 from math import isfinite, prod, sqrt
 from typing import Any, Final
 
@@ -19,12 +20,14 @@ from agent.common.quantities import UNITS, quantity
 from agent.common.reader import Problem
 from agent.common.settings import entries
 from agent.common.wording import printable, show
-from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.loading import digest, parse_fleet, to_dict
 from agent.fleet.model import Fleet, FleetError
 from agent.formation.geometry import resolved
 from deploy.simulate.random_starts import random_fleet
 
 RUNS_MAX: Final = 1_000_000
+RANGES_MAX: Final = 6
+"""Fields that may be drawn: every combination of their ends is read and checked."""
 SIDE_M: Final = 4.0
 """Side of the square of random starts for six robots; others have as much room each."""
 GAP_M: Final = 0.3
@@ -55,6 +58,61 @@ class Axis:
         return f"{self.field}={','.join(self.values)}"
 
 
+@dataclass(frozen=True, slots=True)
+class Range:
+    """One field that every run draws, uniform between two numbers in the field's unit.
+
+    `text` is the range as it was typed; `unit` that unit, empty without one.
+    """
+
+    field: str
+    low: float
+    high: float
+    unit: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.field}={self.text}"
+
+    def value(self, seed: int) -> str:
+        """What the run with this `fleet.seed` draws, as a plain number; nothing else is drawn with it."""
+        share = random_streams.uniform(random_streams.stream("sweep", seed, self.field), 0)
+        return _plain(self.low + (self.high - self.low) * share)
+
+    @property
+    def ends(self) -> tuple[str, str]:
+        """The least and the greatest that may be drawn."""
+        return _plain(self.low), _plain(self.high)
+
+
+def _plain(number: float) -> str:
+    """A number with six digits, as every program reads it."""
+    return f"{number:.6g}"
+
+
+def parse_over(text: str) -> Axis | Range:
+    """Reads one ``--over``: values (`parse_axis`), or a range ``table.field=low..high``, whose unit may stand
+    behind its end alone.
+
+    Raises:
+        SweepError: it is neither.
+    """
+    path, _, written = text.partition("=")
+    low, dots, high = (part.strip() for part in written.partition(".."))
+    if not dots or not low or not high:
+        return parse_axis(text)
+    keys = [key.strip() for key in path.split(".")]
+    if number(low, "") is not None:
+        low += high.lstrip("+-.0123456789eE")  # 10..50% is 10 % to 50 %
+    numbers, unit = _numbers(keys, (low, high))
+    if numbers is None:
+        return parse_axis(text)
+    name = parse_axis(f"{path}={low}").field
+    if not numbers[0] < numbers[1]:
+        raise SweepError(f"--over {printable(text)}: the range must begin below its end, such as 0..1.4s")
+    return Range(name, numbers[0], numbers[1], unit, written.strip())
+
+
 def parse_axis(text: str) -> Axis:
     """Reads one ``--over``: ``table.field=value,value,...``, split at commas outside quotes and brackets.
 
@@ -67,7 +125,7 @@ def parse_axis(text: str) -> Axis:
     if not equals or len(keys) < 2 or not all(keys):
         raise SweepError(
             f"--over {printable(text)}: must be written as table.field=value,value, "
-            "such as control.kp=0.5,1,2 or faults.delay=0,50ms,100ms"
+            "such as control.kp=0.5,1,2 or faults.delay=0,50ms,100ms, or drawn: faults.delay=0..1.4s"
         )
     if name == "fleet.seed":
         raise SweepError(
@@ -159,6 +217,7 @@ class Question:
         repeat: runs of each cell.
         random_starts: None; or the side of the square that hand points start in, m; or 0.0 for one that
             suits the number of robots.
+        ranges: the fields that every run draws.
     """
 
     source: str
@@ -168,12 +227,20 @@ class Question:
     axes: tuple[Axis, ...] = ()
     repeat: int = 1
     random_starts: float | None = None
+    ranges: tuple[Range, ...] = ()
+
+    @property
+    def varied(self) -> tuple[Axis | Range, ...]:
+        """What differs from run to run: the grid's fields, then those that are drawn."""
+        return (*self.axes, *self.ranges)
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """The fleets of a question, one for each cell, in the order of the grid: the last axis counts fastest.
 
+    `ranges` are drawn by each run: `texts` are the cells as fleet files, which a run's draws are laid over;
+    `cells` have the least of all that is drawn, `extremes` of each cell every further combination of ends.
     `recorded_digest`: that of a sweep whose plugins are not here, so that its fleets lack their tables.
     """
 
@@ -185,6 +252,27 @@ class Plan:
     gap_m: float
     assign: tuple[bool, ...]
     recorded_digest: str | None = None
+    ranges: tuple[Range, ...] = ()
+    texts: tuple[str, ...] = ()
+    extremes: tuple[tuple[Fleet, ...], ...] = ()
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The fields that differ from run to run: those of the grid, then those that are drawn."""
+        return (*(axis.field for axis in self.axes), *(each.field for each in self.ranges))
+
+    def run_values(self, run: int) -> tuple[str, ...]:
+        """The values of `fields` in a run."""
+        return (*self.values(run // self.repeat), *self.drawn(run))
+
+    def drawn(self, run: int) -> tuple[str, ...]:
+        """What a run draws, by `ranges`: of a repeat the same in every cell."""
+        seed = self.run_seed(run)
+        return tuple(each.value(seed) for each in self.ranges)
+
+    def run_name(self, run: int) -> str:
+        """A run's cell and draws in words: ``control.kp=1, faults.delay=0.52``."""
+        return _named(self.fields, self.run_values(run))
 
     @property
     def runs(self) -> int:
@@ -206,8 +294,7 @@ class Plan:
 
     def name(self, cell: int) -> str:
         """A cell in words: ``control.kp=1, control.c2=0.6``."""
-        pairs = zip(self.axes, self.values(cell), strict=True)
-        return ", ".join(f"{axis.field}={value}" for axis, value in pairs) or "the fleet"
+        return _named([axis.field for axis in self.axes], self.values(cell))
 
     def run_seed(self, run: int) -> int:
         """`fleet.seed` of a run: of a repeat the same in every cell, so that start and noise are the same."""
@@ -219,10 +306,32 @@ class Plan:
         """The fleet that a run drives, resolved.
 
         Raises:
-            ValueError: the square of random starts has no room.
+            ValueError: the square of random starts has no room, or what is drawn makes no fleet.
         """
         number = run // self.repeat
-        base, seed = self.cells[number], self.run_seed(run)
+        return self._started(number, run, self._with(number, self.drawn(run)))
+
+    def samples(self, cell: int) -> list[Fleet]:
+        """What a look at a cell before it is driven looks at: its first run; where fields are drawn, that
+        with each combination of ends. Raises as `fleet`."""
+        run = cell * self.repeat
+        if not self.ranges:
+            return [self.fleet(run)]
+        return [self._started(cell, run, base) for base in (self.cells[cell], *self.extremes[cell])]
+
+    def _with(self, number: int, drawn: Sequence[str]) -> Fleet:
+        """The fleet of a cell with what a run has drawn."""
+        if not self.ranges:
+            return self.cells[number]
+        overrides = [f"{each.field}={value}" for each, value in zip(self.ranges, drawn, strict=True)]
+        recorded = self.recorded_digest is not None
+        return resolved(
+            parse_fleet(self.texts[number], source="the sweep", overrides=overrides, recorded=recorded)
+        )
+
+    def _started(self, number: int, run: int, base: Fleet) -> Fleet:
+        """A fleet with the seed and the start of a run."""
+        seed = self.run_seed(run)
         if self.side_m is None:
             return replace(base, fleet=replace(base.fleet, seed=seed))
         return random_fleet(base, seed, self.side_m, self.gap_m, assign=self.assign[number])
@@ -231,13 +340,14 @@ class Plan:
         """16 hex digits over the fleets of all cells."""
         if self.recorded_digest is not None:
             return self.recorded_digest
-        text = "".join(digest(fleet) for fleet in self.cells)
+        fleets = chain(self.cells, *self.extremes)
+        text = "".join(digest(fleet) for fleet in fleets)
         return blake2b(text.encode(), digest_size=8).hexdigest()
 
     def identity(self) -> Mapping[str, Any]:
         """What a second sweep must have in common with this one to go on where this one ended."""
         identity: dict[str, Any] = {
-            "over": [str(axis) for axis in self.axes],
+            "over": [*map(str, self.axes), *map(str, self.ranges)],
             "repeat": self.repeat,
             "seed": self.seed,
         }
@@ -256,28 +366,38 @@ def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
         SweepError: what is asked contradicts itself.
     """
     _refuse_contradictions(question)
-    found = _Problems(question.axes)
+    bounds = [Axis(each.field, each.ends, None, "") for each in question.ranges]
+    found = _Problems((*question.axes, *bounds))
     cells: list[Fleet] = []
     assign: list[bool] = []
     # Random starts want assigned places; whoever names the field decides for himself.
     chosen = "formation.assign" in _fields(question)
+    texts: list[str] = []
+    extremes: list[tuple[Fleet, ...]] = []
     for values in product(*(axis.values for axis in question.axes)):
-        given = [f"{axis.field}={value}" for axis, value in zip(question.axes, values, strict=True)]
-        overrides = [*question.overrides, *given]
-        try:
-            fleet = parse_fleet(
-                question.text,
-                source=question.source,
-                overrides=overrides,
-                law=question.law,
-                recorded=recorded_digest is not None,
-            )
-            cells.append(resolved(fleet))
-            assign.append(fleet.formation.assign or not chosen)
-        except FleetError as error:
-            found.add(values, error.problems)
-        except ValueError as error:
-            found.add(values, [Problem("", str(error))])
+        fleets: list[Fleet] = []
+        for ends in product(*(each.ends for each in question.ranges)):
+            varied = zip(question.varied, (*values, *ends), strict=True)
+            given = [f"{each.field}={value}" for each, value in varied]
+            overrides = [*question.overrides, *given]
+            try:
+                fleet = parse_fleet(
+                    question.text,
+                    source=question.source,
+                    overrides=overrides,
+                    law=question.law,
+                    recorded=recorded_digest is not None,
+                )
+                fleets.append(resolved(fleet))
+                if len(fleets) == 1:
+                    assign.append(fleet.formation.assign or not chosen)
+                    texts += [_written(fleet)] if question.ranges else []
+            except FleetError as error:
+                found.add((*values, *ends), error.problems)
+            except ValueError as error:
+                found.add((*values, *ends), [Problem("", str(error))])
+        cells += fleets[:1]
+        extremes += [tuple(fleets[1:])] if question.ranges else []
     if found.count:
         raise FleetError(question.source, found.problems())
     side_m = question.random_starts
@@ -289,26 +409,42 @@ def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
         cells[0].fleet.seed,
         tuple(cells),
         side_m,
-        max(GAP_M, *(GAP_PER_SAFE * fleet.formation.safe_distance_m for fleet in cells)),
+        max(GAP_M, *(GAP_PER_SAFE * fleet.formation.safe_distance_m for fleet in chain(cells, *extremes))),
         tuple(assign),
         recorded_digest,
+        question.ranges,
+        tuple(texts),
+        tuple(extremes),
     )
+
+
+def _written(fleet: Fleet) -> str:
+    """A fleet as the text of a fleet file."""
+    import tomli_w  # here: only fields that are drawn need it
+
+    return tomli_w.dumps(to_dict(fleet))
+
+
+def _named(fields: Sequence[str], values: Sequence[str]) -> str:
+    return ", ".join(f"{field}={value}" for field, value in zip(fields, values, strict=True)) or "the fleet"
 
 
 def _fields(question: Question) -> set[str]:
     """Every field that the command line gives."""
     paths = (override.partition("=")[0] for override in question.overrides)
     return {".".join(key.strip() for key in path.split(".")) for path in paths} | {
-        axis.field for axis in question.axes
+        each.field for each in question.varied
     }
 
 
 def _refuse_contradictions(question: Question) -> None:
-    names = [axis.field for axis in question.axes]
+    names = [each.field for each in question.varied]
+    if len(question.ranges) > RANGES_MAX:
+        raise SweepError(f"at most {RANGES_MAX} fields may be drawn, {len(question.ranges)} are")
     for name in names:
         if names.count(name) > 1:
             raise SweepError(f"--over {name} is given twice: write all its values after one --over")
-    alone = _fields(replace(question, axes=()))
+    alone = _fields(replace(question, axes=(), ranges=()))
     for name in names:
         if name in alone:
             raise SweepError(f"--over {name} varies a field that --set fixes: give one of them")

@@ -254,8 +254,8 @@ def summary_json(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> 
                 "fields": dict(zip(fields, cell.values, strict=True)),
                 "runs": cell.runs,
                 "unfinished": cell.unfinished,
-                "safe": _share(cell.safe),
-                "settled": _share(cell.settled),
+                "safe": share_json(cell.safe),
+                "settled": share_json(cell.settled),
                 "least_distance_m": _rounded(cell.least_m),
                 **{
                     name: {label: _rounded(value) for label, value in cell.quantiles[name].items()}
@@ -267,7 +267,8 @@ def summary_json(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> 
     }
 
 
-def _share(share: Share) -> dict[str, Any]:
+def share_json(share: Share) -> dict[str, Any]:
+    """A share as ``summary.json`` has it."""
     low, high = share.interval
     return {
         "count": share.count,

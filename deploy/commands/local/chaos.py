@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import show
-from deploy.console.arguments import InputError, describe, place_for
+from deploy.console.arguments import InputError, describe, engine_arguments, place_for, refuse_jobs
 
 if TYPE_CHECKING:
     from deploy.chaos.report import Driven
@@ -51,7 +51,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         action="store_true",
         help="with --real: robots are linked to two routers instead of to each other",
     )
-    sub.add_argument("--jobs", type=int, metavar="J", help="scenarios at a time (default: all cores)")
+    engine_arguments(sub, "scenarios")
     sub.add_argument(
         "--no-shrink",
         dest="shrink",
@@ -99,9 +99,11 @@ def chaos(options: argparse.Namespace) -> int:
     from deploy.chaos.draw import PROFILES, seeds_of
     from deploy.chaos.report import Tally, conclusion, lines
     from deploy.chaos.run_real import real_results
+    from deploy.cluster.choose import check_cluster, make_engine
     from deploy.console.interrupt import Interrupt
     from deploy.console.progress import make_progress
-    from deploy.simulate.worker_pool import Pool, cores
+    from deploy.console.wording import some
+    from deploy.simulate.worker_pool import EngineLost, cores
 
     jobs = cores() if options.jobs is None else options.jobs
     for name, value, least in (("seed", options.seed, 0), ("count", options.count, 1), ("jobs", jobs, 1)):
@@ -113,12 +115,18 @@ def chaos(options: argparse.Namespace) -> int:
         raise InputError(f"--profile must be one of {', '.join(PROFILES)}, got {show(options.profile)}")
     if options.routed and not options.real:
         raise InputError("--routed belongs to --real: in virtual time there are no links")
+    if options.cluster is not None and options.real:
+        raise InputError("--cluster is for virtual time: with --real processes are on this machine")
+    refuse_jobs(options)
+    check_cluster(options.cluster)
     seeds = seeds_of(options.profile, options.seed, options.count)
     out = Path(options.out)
     if options.write:
         return _write_all(out, seeds)
     tally = Tally()
     interrupt = Interrupt()
+    left = set(seeds)
+    lost = ""
     with interrupt.caught():
         progress = make_progress(sys.stderr, len(seeds), quiet=options.quiet, trouble="failed")
         with progress, ExitStack() as stack:
@@ -126,17 +134,25 @@ def chaos(options: argparse.Namespace) -> int:
             if options.real:
                 results = real_results(seeds, out, interrupt, routed=options.routed)
             else:
-                pool = stack.enter_context(Pool(Scenarios(options.shrink), jobs, TIMEOUT_S))
-                results = pool.results(seeds, lambda: interrupt.count == 0)
-            for driven in results:
-                tally.add(driven)
-                if driven.outcome.violations:
-                    progress.say(_failure(driven, _keep(out, driven)))
-                progress.add(trouble=bool(driven.outcome.violations))
+                work = Scenarios(options.shrink)
+                made = make_engine(options.cluster, work, jobs, TIMEOUT_S, progress)
+                results = stack.enter_context(made).results(seeds, lambda: interrupt.count == 0)
+            try:
+                for driven in results:
+                    left.discard(driven.seed)
+                    tally.add(driven)
+                    if driven.outcome.violations:
+                        progress.say(_failure(driven, _keep(out, driven)))
+                    progress.add(trouble=bool(driven.outcome.violations))
+            except EngineLost as error:
+                lost = str(error)
     if not options.quiet:
         for line in lines(tally):
             print(line)
     print(conclusion(tally))
+    if lost:
+        print(f"{lost}; seeds that were not driven: {some(sorted(left))}", file=sys.stderr)
+        return FAILED
     if tally.scenarios < len(seeds):
         return INTERRUPTED
     return FAILED if tally.failed else PASSED

@@ -9,16 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.exit import INTERRUPTED, PASSED
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
 from agent.fleet.model import FleetError
 from deploy.console.arguments import (
     change_arguments,
     describe,
+    engine_arguments,
     fleet_path,
     fleet_text,
     overrides,
     place_for,
+    refuse_jobs,
     scenario_path,
 )
 
@@ -37,8 +39,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     describe(
         sub,
         ". Ctrl-C keeps what is done; the same command, or `handfast "
-        "sweep DIR`, goes on. Exit status: 0 all runs were driven, whatever came of them; 2 bad input; "
-        "130 after Ctrl-C.",
+        "sweep DIR`, goes on. Exit status: 0 all runs were driven, whatever came of them; 1 the cluster was "
+        "lost before that; 2 bad input; 130 after Ctrl-C.",
     )
     sub.set_defaults(command=sweep)
     sub.add_argument(
@@ -49,7 +51,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="A.B=V,V,...",
-        help="vary a field over these values, repeatedly: all combinations are driven",
+        help="vary a field over these values, repeatedly: all combinations are driven; or A.B=LOW..HIGH: "
+        "every run draws it",
     )
     sub.add_argument("--repeat", type=int, metavar="N", help="runs of each cell (default: 1)")
     change_arguments(sub)
@@ -61,7 +64,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         help="every repeat starts somewhere else, in a square of this side (default: 4m for six robots)",
     )
     sub.add_argument("--margin", metavar="A.B", help="field whose margin is found (default: faults.delay)")
-    sub.add_argument("--jobs", type=int, metavar="N", help="runs at a time (default: the number of cores)")
+    engine_arguments(sub, "runs")
     sub.add_argument(
         "--timeout",
         default=TIMEOUT,
@@ -82,9 +85,10 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
+    from deploy.cluster.choose import check_cluster
     from deploy.console.interrupt import Interrupt
     from deploy.inventory.folders import out_folder
-    from deploy.simulate.worker_pool import cores
+    from deploy.simulate.worker_pool import EngineLost, cores
     from deploy.sweep.folder import SweepFolder, read_digest
     from deploy.sweep.plan import SweepError, make_plan
     from deploy.sweep.summary import margin_axis
@@ -94,6 +98,8 @@ def sweep(options: argparse.Namespace) -> int:
         jobs = cores() if options.jobs is None else options.jobs
         if jobs < 1:
             raise SweepError(f"--jobs must be at least 1, got {jobs}")
+        refuse_jobs(options)
+        check_cluster(options.cluster)
         timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
         again, question = _question(options)
         lacking: FleetError | None = None
@@ -112,14 +118,20 @@ def sweep(options: argparse.Namespace) -> int:
                 return _write(folder, options.write)
             if lacking is not None and folder.missing:
                 raise lacking
-            _drive(folder, jobs, timeout_s, interrupt, quiet=options.quiet)
+            lost = ""
+            try:
+                _drive(folder, jobs, timeout_s, interrupt, options)
+            except EngineLost as error:
+                lost = str(error)
             if folder.missing:
                 done = plan.runs - len(folder.missing)
+                again_by = f"handfast sweep {path}" + f" --cluster {options.cluster}" * bool(options.cluster)
+                why = f"{lost}: " if lost else ""
                 print(
-                    f"{done} of {plan.runs} runs are done and kept; go on with: handfast sweep {path}",
+                    f"{why}{done} of {plan.runs} runs are done and kept; go on with: {again_by}",
                     file=sys.stderr,
                 )
-                return INTERRUPTED
+                return FAILED if lost else INTERRUPTED
             folder.complete()
             _conclude(folder, margin)
     return PASSED
@@ -128,7 +140,7 @@ def sweep(options: argparse.Namespace) -> int:
 def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     """What is asked, and the folder of the sweep that asks it when one is gone on with."""
     from deploy.sweep.folder import SWEEP_FILE, read_question
-    from deploy.sweep.plan import Question, SweepError, parse_axis
+    from deploy.sweep.plan import Axis, Question, Range, SweepError, parse_over
 
     folder = Path(options.fleet)
     if folder.is_dir():
@@ -144,14 +156,16 @@ def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     starts = options.random_starts
     if starts:
         starts = _quantity(starts, "m", "--random-starts", '"4m"')
+    over = [parse_over(text) for text in options.over]
     return None, Question(
         str(path),
         fleet_text(path, scenario_path(options.faults) if options.faults is not None else None),
         options.law,
         tuple(overrides(options)),
-        tuple(parse_axis(text) for text in options.over),
+        tuple(each for each in over if isinstance(each, Axis)),
         1 if options.repeat is None else options.repeat,
         0.0 if starts == "" else starts,
+        tuple(each for each in over if isinstance(each, Range)),
     )
 
 
@@ -172,13 +186,15 @@ def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
     found: dict[tuple[str, str], tuple[str, list[int]]] = {}
     for cell in range(len(plan.cells)):
         try:
-            fleet = plan.fleet(cell * plan.repeat)
+            fleets = plan.samples(cell)
         except ValueError as error:
             raise SweepError(f"--random-starts: {error}") from None
-        for finding in check(fleet):
+        for finding in {str(each): each for fleet in fleets for each in check(fleet)}.values():
             if finding.level == "error" or (finding.level == "warning" and not options.quiet):
                 # The same thing in many cells, with other numbers in it, is said once.
-                found.setdefault((finding.level, finding.place), (str(finding), []))[1].append(cell)
+                cells = found.setdefault((finding.level, finding.place), (str(finding), []))[1]
+                if cell not in cells[-1:]:
+                    cells.append(cell)
     for text, cells in list(found.values())[:FINDINGS_MAX]:
         more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
         everywhere = len(cells) == len(plan.cells)
@@ -206,33 +222,39 @@ def _write(folder: SweepFolder, run: int) -> int:
         path.write_text(tomli_w.dumps(to_dict(plan.fleet(run))), encoding="utf-8")
     except OSError as error:
         raise SweepError(f"cannot write {path}: {error.strerror or error}") from None
-    print(f"wrote {path} ({plan.name(run // plan.repeat)}); next: handfast simulate {path}")
+    print(f"wrote {path} ({plan.run_name(run)}); next: handfast simulate {path}")
     return PASSED
 
 
 # ---------------------------------------------------------------------- driving
 
 
-def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, quiet: bool) -> None:
+def _drive(
+    folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, options: argparse.Namespace
+) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
+    from deploy.cluster.choose import make_engine
     from deploy.console.progress import make_progress
-    from deploy.simulate.worker_pool import Pool
     from deploy.sweep.run import Runs
 
     missing = folder.missing
     if not missing:
         return
     plan, done = folder.plan, folder.plan.runs - len(missing)
-    if not quiet:
+    if not options.quiet:
         kept = f", {done} of them done already" if done else ""
+        where = f"{jobs} at a time" if options.cluster is None else f"on {options.cluster}"
         print(
-            f"{plan.runs} runs ({len(plan.cells)} cells, {plan.repeat} of each{kept}), {jobs} at a time, "
+            f"{plan.runs} runs ({len(plan.cells)} cells, {plan.repeat} of each{kept}), {where}, "
             f"into {folder.path}",
             file=sys.stderr,
         )
-    progress = make_progress(sys.stderr, plan.runs, done, quiet=quiet, trouble="unsafe or not settled")
-    with progress, Pool(Runs(plan), jobs, timeout_s) as pool:
-        for row in pool.results(missing, lambda: interrupt.count == 0):
+    progress = make_progress(
+        sys.stderr, plan.runs, done, quiet=options.quiet, trouble="unsafe or not settled"
+    )
+    engine = make_engine(options.cluster, Runs(plan), jobs, timeout_s, progress, plan.cells)
+    with progress, engine:
+        for row in engine.results(missing, lambda: interrupt.count == 0):
             folder.add(row)
             progress.add(trouble=not row.good)
 
@@ -242,6 +264,7 @@ def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, 
 
 def _conclude(folder: SweepFolder, margin: int | None) -> None:
     """Writes summary and pictures, and says what was found."""
+    from deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim
     from deploy.sweep.figures import write_sweep_figures
     from deploy.sweep.folder import csv_bytes, replace_file
     from deploy.sweep.plan import SweepError
@@ -251,13 +274,15 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
     plan = folder.plan
     cells = summarise(plan, folder.rows)
     found = margins(plan, cells, margin) if margin is not None else []
+    claim = make_claim(plan, folder.rows) if plan.ranges else None
+    whole = {"all": claim_json(claim)} if claim is not None else {}
     try:
         replace_file(folder.path / "summary.csv", csv_bytes(summary_table(plan, cells)))
-        text = json.dumps(summary_json(plan, cells, found), indent=2, allow_nan=False) + "\n"
+        text = json.dumps(summary_json(plan, cells, found) | whole, indent=2, allow_nan=False) + "\n"
         replace_file(folder.path / "summary.json", text.encode())
     except OSError as error:
         raise SweepError(f"cannot write the summary into {folder.path}: {error.strerror or error}") from None
-    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found)
+    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found, folder.rows)
     if len(cells) <= ROWS_MAX:
         each = shown()
         heads = [f"{one.picture.heading} {one.picture.unit}" for one in each]
@@ -276,6 +301,8 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
         if found_in:
             first = found_in[0]
             print(f"{len(found_in)} of {plan.runs} runs {what}; run {first.run}: {printable(first.reason)}")
+    if claim is not None:
+        print("\n".join(filter(None, [*claim_lines(claim), cost_line(plan, driven)])))
     for margin_found in found[:ROWS_MAX]:
         print(f"margin of {margin_found}")
     if len(found) > ROWS_MAX:

@@ -53,6 +53,19 @@ def test_a_run_of_it_can_be_driven_alone(found: Sweep) -> None:
             found.fleet(given)  # type: ignore[arg-type]
 
 
+def test_what_every_run_draws_is_a_column() -> None:
+    drawn = sweep("pair", {"faults.delay": "0..1.4s"}, duration=0.5, seeds=3, workers=2, check=False)
+    assert (drawn.fields, drawn.shape) == ((), ())
+    delays = drawn.columns["faults.delay"]
+    assert len(set(delays.tolist())) == 3
+    assert ((delays >= 0.0) & (delays <= 1.4)).all()
+    assert isinstance(drawn.plot(), matplotlib.figure.Figure)
+    with pytest.raises(Error, match="workers are this machine's processes"):
+        sweep("pair", workers=2, cluster="tcp://there:8786")
+    with pytest.raises(Error, match="must be tcp://HOST:PORT"):
+        sweep("pair", cluster="there")
+
+
 def test_pictures_are_figures(found: Sweep) -> None:
     assert isinstance(found.plot(), matplotlib.figure.Figure)
     assert isinstance(found.plot("share_safe"), matplotlib.figure.Figure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import binomtest, kstest
 
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet, FleetError
@@ -27,7 +28,7 @@ from deploy.simulate.simulation import Simulation
 from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.sweep.figures import PANELS_MAX, write_sweep_figures
 from deploy.sweep.folder import SweepFolder, read_question
-from deploy.sweep.plan import Axis, Plan, Question, SweepError, make_plan, parse_axis
+from deploy.sweep.plan import Axis, Plan, Question, Range, SweepError, make_plan, parse_axis, parse_over
 from deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
 from deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
 from deploy.verdict.metrics import columns
@@ -39,7 +40,14 @@ SHORT = "fleet.duration_s=0.5"
 
 def ask(*over: str, fleet: str = "delta", **rest: Any) -> Question:
     path = FLEETS / f"{fleet}.toml"
-    return Question(str(path), fleet_text(path), axes=tuple(map(parse_axis, over)), **rest)
+    varied = [parse_over(each) for each in over]
+    return Question(
+        str(path),
+        fleet_text(path),
+        axes=tuple(each for each in varied if isinstance(each, Axis)),
+        ranges=tuple(each for each in varied if isinstance(each, Range)),
+        **rest,
+    )
 
 
 def made(plan: Plan, run: int, **numbers: float) -> Row:
@@ -570,7 +578,7 @@ def test_pictures_are_drawn_and_the_same_again(
     for name in ("a", "b"):
         folder = tmp_path / name
         folder.mkdir()
-        paths, left_out = write_sweep_figures(folder, plan, cells, axis, found)
+        paths, left_out = write_sweep_figures(folder, plan, cells, axis, found, rows_of(plan))
         assert left_out == ""
         assert {path.name for path in paths} == names
         written.append([path.read_bytes() for path in paths])
@@ -582,7 +590,7 @@ def test_what_pictures_leave_out_is_said(tmp_path: Path) -> None:
         ask("control.kp=0,1", "control.c2=1,2", f"control.c1={','.join(map(str, range(1, 15)))}")
     )
     cells = summarise(plan, rows_of(plan))
-    _, left_out = write_sweep_figures(tmp_path, plan, cells, 0, margins(plan, cells, 0))
+    _, left_out = write_sweep_figures(tmp_path, plan, cells, 0, margins(plan, cells, 0), {})
     assert (
         left_out == f"the pictures show {PANELS_MAX} of 14 combinations of control.c1; all are in summary.csv"
     )
@@ -591,3 +599,87 @@ def test_what_pictures_leave_out_is_said(tmp_path: Path) -> None:
 def test_axis_is_a_value() -> None:
     assert parse_axis("control.kp=1,2") == Axis("control.kp", ("1", "2"), (1.0, 2.0), "1/s2")
     assert to_dict(make_plan(ask("control.kp=1,2")).fleet(1))["control"]["kp"] == 2.0
+
+
+# --- fields that are drawn ------------------------------------------------------------------------
+
+
+def test_every_run_draws_and_the_same_again() -> None:
+    question = ask("control.kp=0.5,1", "faults.delay=0..1.4s", "faults.loss=10..50%", repeat=200)
+    plan, again = make_plan(question), make_plan(question)
+    assert plan.fields == ("control.kp", "faults.delay", "faults.loss")
+    assert plan.runs == 400
+    drawn = np.array([[float(value) for value in plan.drawn(run)] for run in range(400)])
+    assert (drawn == [[float(value) for value in again.drawn(run)] for run in range(400)]).all()
+    assert (drawn[:200] == drawn[200:]).all(), "repeats are paired over the cells"
+    for column, low, high in ((0, 0.0, 1.4), (1, 0.1, 0.5)):
+        assert ((drawn[:, column] >= low) & (drawn[:, column] <= high)).all()
+        assert kstest(drawn[:200, column], "uniform", (low, high - low)).pvalue > 0.01
+    assert abs(np.corrcoef(drawn[:200].T)[0, 1]) < 0.2
+
+
+def test_a_run_drives_what_its_row_says() -> None:
+    plan = make_plan(
+        ask("faults.delay=0..1.4s", overrides=("fleet.duration_s=3",), repeat=3, random_starts=4.0)
+    )
+    fleet = plan.fleet(2)
+    (text,) = plan.drawn(2)
+    assert fleet == copy.deepcopy(plan).fleet(2)
+    alone = make_plan(
+        ask(overrides=("fleet.duration_s=3", f"faults.delay={text}"), repeat=3, random_starts=4.0)
+    )
+    assert alone.fleet(2) == fleet
+    assert plan.run_name(2) == f"faults.delay={text}"
+
+
+def test_what_is_drawn_is_a_column_and_outlives_the_process(tmp_path: Path) -> None:
+    question = ask("faults.delay=0..1.4s", repeat=4)
+    plan = make_plan(question)
+    with SweepFolder(tmp_path / "out", question, plan) as folder:
+        fill(folder, range(3))
+    question = read_question(tmp_path / "out")
+    with SweepFolder(tmp_path / "out", question, make_plan(question)) as folder:
+        assert folder.missing == [3]
+    with open(tmp_path / "out" / "results.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["faults.delay"] for row in rows] == [plan.drawn(run)[0] for run in range(3)]
+    other = ask("faults.delay=0..1.5s", repeat=4)
+    with pytest.raises(SweepError, match=r"--over is faults\.delay=0\.\.1\.5s, was faults\.delay=0\.\.1\.4s"):
+        SweepFolder(tmp_path / "out", other, make_plan(other))
+
+
+@pytest.mark.parametrize(
+    ("over", "says"),
+    [
+        (("faults.delay=1s..0",), "the range must begin below its end"),
+        (("faults.delay=1s..1000ms",), "the range must begin below its end"),
+        (("delay=0..1s",), "must be written as table.field=value,value"),
+        (("fleet.seed=0..9",), "every run has a seed of its own already"),
+        (("faults.delay=0..1s", "faults.delay=0,1s"), "given twice"),
+    ],
+)  # fmt: skip
+def test_a_range_that_is_none_is_refused(over: tuple[str, ...], says: str) -> None:
+    with pytest.raises(SweepError, match=says):
+        make_plan(ask(*over))
+
+
+def test_both_ends_of_a_range_are_read_before_anything_is_driven() -> None:
+    with pytest.raises(FleetError) as error:
+        make_plan(ask("faults.loss=0.5..1.5"))
+    assert "--over faults.loss=1.5" in str(error.value)
+    plan = make_plan(ask("faults.delay=0..1.4s", "faults.loss=0..50%"))
+    assert len(plan.samples(0)) == 4
+    assert len({sample.faults for sample in plan.samples(0)}) == 4
+
+
+def test_every_run_is_a_point(tmp_path: Path) -> None:
+    plan = make_plan(ask("faults.delay=0..1.4s", "faults.loss=0..50%", repeat=5))
+    rows = {run: made(plan, run) for run in range(4)}
+    rows[1] = made(plan, 1, settling_time_s=NEVER)
+    rows[4] = unfinished(plan, 4, CRASHED, "it died", 1.0)
+    cells = summarise(plan, rows)
+    paths, left_out = write_sweep_figures(tmp_path, plan, cells, None, [], rows)
+    assert ([path.name for path in paths], left_out) == (["drawn.png"], "")
+    before = paths[0].read_bytes()
+    write_sweep_figures(tmp_path, plan, cells, None, [], rows)
+    assert paths[0].read_bytes() == before

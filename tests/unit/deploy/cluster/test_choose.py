@@ -1,0 +1,91 @@
+"""What ``--cluster`` means."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agent.common.errors import MissingPackageError
+from agent.fleet.loading import load_fleet
+from deploy.cluster import choose
+from deploy.cluster.choose import ClusterOptionError, check_cluster, make_engine
+from deploy.cluster.engine import Cluster
+from deploy.console.data_files import FLEETS, ROOT
+from deploy.simulate.worker_pool import Pool
+from tests.passing_law import PassingLaw
+from tests.unit.deploy.cluster.test_sent import Doubles
+
+
+class Shown:
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self.now = ""
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def at_work(self, text: str) -> None:
+        self.now = text
+
+
+def test_without_it_this_machine_drives() -> None:
+    assert isinstance(make_engine(None, Doubles(), 2, 9.0, Shown()), Pool)
+
+
+@pytest.mark.parametrize("where", ["tcp://there:8786", "tls://[fd00::1]:8786"])
+def test_a_scheduler_by_its_address(where: str) -> None:
+    engine = make_engine(where, Doubles(), 2, 9.0, Shown())
+    assert isinstance(engine, Cluster)
+    assert engine.name == where
+
+
+def test_a_scheduler_by_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "scheduler.json"
+    with pytest.raises(ClusterOptionError):
+        check_cluster(str(file))
+    file.write_text("{}")
+    engine = make_engine(str(file), Doubles(), 2, 9.0, Shown())
+    assert isinstance(engine, Cluster)
+    assert engine.name == str(file)
+
+
+@pytest.mark.parametrize(
+    "where", ["", "there", "there:8786", "tcp://there", "tcp://:8786", "http://there:80"]
+)
+def test_anything_else_is_one_line(where: str) -> None:
+    with pytest.raises(ClusterOptionError, match=r"must be tcp://HOST:PORT or tls://HOST:PORT of a Dask"):
+        check_cluster(where)
+
+
+def test_a_package_that_is_lacking_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "deploy.cluster.engine", raising=False)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingPackageError, match=r"pip install 'handfast\[cluster\]'"):
+        check_cluster("tcp://there:8786")
+
+
+def test_plugins_of_a_fleet_go_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    law = PassingLaw(tmp_path, monkeypatch, "law_that_goes_along")
+    fleet = load_fleet(FLEETS / "pair.toml", law=law.reference)
+    shown = Shown()
+    assert set(choose._files([fleet], shown)) == {"law_that_goes_along.py"}
+    alone = replace(fleet, control=replace(fleet.control, law="KnownInThisProcess"))
+    assert choose._files([alone], shown) == {}, "such classes are in the work itself"
+    assert shown.said == []
+    law.leave()
+    assert choose._files([fleet], shown) == {}
+    (text,) = shown.said
+    assert text.startswith("law_that_goes_along: ")
+    assert text.endswith("; workers need it installed")
+
+
+def test_dask_is_not_loaded_where_no_cluster_is_asked_for() -> None:
+    modules = (
+        "deploy.cluster.choose, deploy.commands.local.sweep, deploy.commands.local.chaos, deploy.api.sweep"
+    )
+    code = f"import sys, {modules}; sys.exit('distributed' in sys.modules or 'dask' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -1,0 +1,55 @@
+"""A cluster of a fleet's hosts, as far as it goes without hosts."""
+
+from __future__ import annotations
+
+import ssl
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from deploy.cluster.on_hosts import HostsCluster, credentials
+from deploy.cluster.watch import ClusterError
+from deploy.cluster.worker_process import security
+from deploy.console.data_files import FLEETS, WORKER_REQUIREMENTS
+from deploy.hosts.artifacts.bundle import PACKAGES, program_archive
+from deploy.hosts.view import Row
+from tests.unit.deploy.cluster.test_sent import Doubles
+
+
+def cluster(fleet: str) -> HostsCluster[int]:
+    return HostsCluster(fleet, Doubles(), 9.0, files={}, say=print)
+
+
+def test_a_fleet_without_hosts_is_refused() -> None:
+    with pytest.raises(ClusterError, match=r"the fleet has no hosts: write \[host.NAME\]"):
+        cluster("pair")
+
+
+def test_why_no_host_works_is_said_when_none_does(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text((FLEETS / "pair.toml").read_text() + '\n[host.a]\naddress = "192.0.2.1"\n[host.b]\n')
+    found = cluster(str(file))
+    rows = {name: Row(name, ()) for name in ("a", "b")}
+    found._jobs = SimpleNamespace(rows=rows)  # type: ignore[assignment]
+    rows["a"].fail("it does not answer")
+    assert found._broken() is None
+    assert found._expected() == 1
+    rows["b"].fail("the disk is full")
+    assert found._broken() == (f"no host of {file} has a worker: a: it does not answer; b: the disk is full")
+
+
+def test_who_has_the_certificate_is_trusted(tmp_path: Path) -> None:
+    key, certificate = credentials()
+    trust = security(key, certificate)
+    for role in ("client", "scheduler", "worker"):
+        assert isinstance(trust.get_connection_args(role)["ssl_context"], ssl.SSLContext)
+        assert trust.get_connection_args(role)["require_encryption"]
+    other = credentials()
+    assert other != (key, certificate)
+
+
+def test_what_is_sent_has_the_operators_package_and_its_wheels_have_dask() -> None:
+    assert b"deploy/cluster/worker_process.py" in program_archive(packages=(*PACKAGES, "deploy"))
+    assert b"deploy/cluster" not in program_archive()
+    assert "\ndistributed==" in WORKER_REQUIREMENTS.read_text()

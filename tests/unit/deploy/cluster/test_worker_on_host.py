@@ -1,0 +1,67 @@
+"""What starts and ends a worker on a host, with a program that stands for the worker's Python."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.cluster import worker_on_host
+from deploy.cluster.worker_on_host import Started
+from deploy.hosts.remote_program import HostError
+from tests.process.harness import running, wait_for
+
+
+def program(folder: Path, text: str) -> Path:
+    """An executable that runs some Python, whatever its arguments."""
+    path = folder / "python"
+    path.write_text(f"#!{sys.executable}\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_it_is_told_its_settings_and_ends_with_all_that_it_started(tmp_path: Path) -> None:
+    started = Started(
+        program(
+            tmp_path,
+            "import pathlib, subprocess, sys\n"
+            "line = sys.stdin.readline()\n"
+            "child = subprocess.Popen(['sleep', '1000'])\n"
+            "pathlib.Path('pid.new').write_text(str(child.pid))\n"
+            "pathlib.Path('told').write_text(line)\n"
+            "pathlib.Path('pid.new').rename('pid')\n"
+            "child.wait()",
+        ),
+        {"name": "host1"},
+    )
+    pid = started.folder / "pid"
+    try:
+        wait_for(pid.exists, "its child", 30.0)
+        child = int(pid.read_text())
+        assert json.loads((started.folder / "told").read_text()) == {
+            "name": "host1",
+            "folder": str(started.folder),
+        }
+        assert started.ended() == ""
+    finally:
+        started.end()
+    wait_for(lambda: not running(child), "the end of its child", 30.0)
+    assert not started.folder.exists()
+
+
+def test_how_it_ended_is_said_with_its_last_line(tmp_path: Path) -> None:
+    started = Started(
+        program(tmp_path, "import sys; print('first'); sys.exit('no way to the scheduler')"), {}
+    )
+    wait_for(started.ended, "its end", 30.0)
+    assert started.ended() == "its worker ended (status 1): no way to the scheduler"
+    started.end()
+
+
+def test_without_ssh_nobody_says_where_the_scheduler_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(os.environ, "SSH_CONNECTION", raising=False)
+    with pytest.raises(HostError, match="SSH_CONNECTION"):
+        worker_on_host.start_worker("1", 8786, {})
