@@ -24,6 +24,7 @@ NAMES: Final = (
     "cpu",
     "scaling",
     "tick",
+    "forms",
     "silent",
     "startup",
     "reactions",

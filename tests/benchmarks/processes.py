@@ -17,6 +17,7 @@ from typing import Final, Self
 
 import tomli_w
 
+from agent.common.compiled import COMPILED
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import digest, to_dict
 from agent.fleet.model import Fleet
@@ -52,8 +53,9 @@ class NotHereError(BenchmarkError):
 
 
 def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Of a child: it finds this checkout's packages wherever it starts. An empty value unsets a variable."""
-    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    """Of a child: it finds this checkout's packages wherever it starts, or as this process those that are
+    compiled (`forms`). An empty value unsets a variable."""
+    path = os.pathsep.join(filter(None, ("" if COMPILED else str(ROOT), os.environ.get("PYTHONPATH"))))
     whole = os.environ | ONE_THREAD | {"PYTHONPATH": path} | dict(extra or {})
     return {name: value for name, value in whole.items() if value}
 
