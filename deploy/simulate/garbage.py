@@ -1,4 +1,4 @@
-"""Has Python look for garbage seldom during a drive, in which hardly any is made that it would have to find."""
+"""Has Python seldom look for garbage during a drive, in which hardly any is made that it would find."""
 
 from __future__ import annotations
 
