@@ -35,7 +35,7 @@ from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARD_NS, HEARTBEAT_PERIOD_NS, Operator, Order, refused
-from deploy.simulate import hangs
+from deploy.simulate import garbage, hangs
 from deploy.simulate.bodies import Bodies
 from plant.node import PlantNode
 
@@ -481,7 +481,7 @@ class Simulation:
         `progress` is called with the fleet time (s, below 0 before the epoch) four times a second; when it
         returns False the run ends there.
         """
-        with hangs.ended(self.fleet) as came_on:
+        with garbage.seldom_looked_for(), hangs.ended(self.fleet) as came_on:
             self._run(progress, came_on)
 
     def _run(self, progress: Progress | None, came_on: Callable[[], None]) -> None:
