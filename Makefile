@@ -2,6 +2,8 @@
 #   PYTHON=/path/to/python3.12   the interpreter to make .venv with, after `make clean` (default: the first >= 3.11 found)
 #   JUNIT=folder                 `make check` and `make test` also write their results there as XML
 #   CHECKED=1                    `make test` leaves out what `make check` runs
+#   SLOW=compiled                `make test` leaves slow simulations to `make test-compiled`, which does them in
+#                                half the time
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
@@ -26,6 +28,8 @@ COMPILED_CFLAGS := -ffp-contract=off -g0
 DEMO_OUT ?= runs/demo
 QUICK := not process and not slow and not autopilot and not compiled
 REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
+REST := $(REST)$(if $(filter compiled,$(SLOW)), and (patches or not slow))
+SLOW_COMPILED := slow and not patches and not process and not compiled and not autopilot
 # What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
 DRIVES := slip or in_run or mid_drive or supervision
@@ -53,7 +57,10 @@ test: $(VENV)/.dev ## all tests but those of `make compiled`: those that compute
 
 test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same bytes as the Python it is made of
 	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)
-	@rm -rf $(COMPILED_BUILD)/tests $(COMPILED_BUILD)/docs && cp -RP tests docs $(COMPILED_BUILD)
+	@rm -rf $(COMPILED_BUILD)/tests $(COMPILED_BUILD)/docs
+	@cp -RP tests docs Makefile requirements .ci $(COMPILED_BUILD)
+	@cd $(COMPILED_BUILD) && $(if $(filter compiled,$(SLOW)),'$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider \
+	  -m '$(SLOW_COMPILED)' $(call junit,compiled-computing),:)
 	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider -k '$(DRIVES)' \
 	  $(addprefix tests/process/test_,$(ON_COMPILED)) $(call junit,compiled-processes)
 

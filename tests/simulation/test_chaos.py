@@ -102,6 +102,7 @@ def test_the_same_scenario_ends_the_same() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.patches
 def test_a_fault_of_the_program_is_found_and_made_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(constraint_assembly.ConstraintAssembly, "_keep_away", lambda *args, **options: None)
     tables = draw(BROKEN)
