@@ -9,7 +9,6 @@ is made when its first message comes (`taker`). What does not pass there goes th
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from functools import cache
 from itertools import takewhile
@@ -151,4 +150,4 @@ def _rows_source(field: Field, name: str) -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(module())
+    print(module(), end="")

@@ -17,6 +17,7 @@ from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
+from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import PlantState
@@ -37,7 +38,7 @@ class Field:
         self.drove: set[int] = set()
         self.simulation = Simulation(fleet or triangle(), self._hear)
         self._cut_off = frozenset(cut_off)
-        put, heard_by = self.simulation._bus.put, self.simulation._bus.heard_by
+        put, rings_of = self.simulation._bus.put, self.simulation._bus._rings
 
         def passes(arrival_ns: int, key: str, payload: bytes) -> None:
             """As `put`, but nothing goes between those that are cut off and the others."""
@@ -45,7 +46,8 @@ class Field:
                 put(arrival_ns, key, payload)
                 return
             sender = _robot(key) in self._cut_off
-            for host, ring in chain.from_iterable(rings.items() for rings in heard_by(key)):
+            subscriptions = dict.fromkeys((key, key_expressions.of_any_robot(key)))
+            for host, ring in chain.from_iterable(rings_of.get(name, {}).items() for name in subscriptions):
                 if (_robot(host.node.alive_keys[0]) in self._cut_off) is sender:
                     ring.append((arrival_ns, key, payload))
 

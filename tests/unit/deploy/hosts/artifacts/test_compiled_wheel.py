@@ -53,13 +53,13 @@ def test_pip_installs_it(tmp_path: Path):
 
 
 def test_a_bundle_has_it_for_such_computers_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def download(_: Platform, folder: Path) -> None:
+    def download(_: Platform, folder: Path, requirements: Path) -> None:
         (folder / "a.whl").write_bytes(b"a")
 
     monkeypatch.setattr(bundle, "cache_folder", lambda name: tmp_path / name)
     monkeypatch.setattr(bundle, "_download", download)
     made = {"of": MODULES}
-    monkeypatch.setattr(bundle, "compiled_modules", lambda _: made["of"])
+    monkeypatch.setattr(bundle, "compiled_modules", lambda packages: made["of"])
     here, elsewhere = Platform(*HERE), Platform((3, 11), "riscv64", ("glibc", "2.36"))
     first, again, other = (bundle_for(each, b"x") for each in (here, here, elsewhere))
     assert set(other.wheels) == {"a.whl"}
