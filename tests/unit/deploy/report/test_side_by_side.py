@@ -1,10 +1,13 @@
-"""Things that are done at once: all of them are, whatever becomes of the processes that do them."""
+"""Things that are done at once: all of them are, whatever becomes of the processes that do them.
+
+What forks is tried in a process that has just begun: that of a test may have threads, and is not forked then.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,9 +19,18 @@ import pytest
 from deploy.report import side_by_side as module
 from deploy.report.side_by_side import side_by_side
 
-pytestmark = pytest.mark.skipif(
-    threading.active_count() > 1 or "zenoh" in sys.modules, reason="this process cannot be forked"
-)
+TIMEOUT_S = 60.0
+
+
+def tried(scenario: Callable[..., None], *about: object) -> None:
+    """Has a scenario tried in a process of its own."""
+    process = multiprocessing.get_context("spawn").Process(target=scenario, args=about)
+    process.start()
+    process.join(TIMEOUT_S)
+    if process.exitcode is None:
+        process.kill()
+        process.join()
+    assert process.exitcode == 0
 
 
 def by(path: Path) -> int:
@@ -39,11 +51,15 @@ def waits_for(path: Path, other: Path) -> None:
         time.sleep(0.005)
 
 
-def test_two_that_wait_for_each_other_are_done_at_once(tmp_path: Path) -> None:
-    a, b = tmp_path / "a", tmp_path / "b"
+def wait_for_each_other(folder: Path) -> None:
+    a, b = folder / "a", folder / "b"
     side_by_side([partial(waits_for, a, b), partial(waits_for, b, a)], processes=2)
     assert len({by(a), by(b)}) == 2
     assert os.getpid() in (by(a), by(b))
+
+
+def test_two_that_wait_for_each_other_are_done_at_once(tmp_path: Path) -> None:
+    tried(wait_for_each_other, tmp_path)
 
 
 def test_one_process_does_all_in_order() -> None:
@@ -52,8 +68,8 @@ def test_one_process_does_all_in_order() -> None:
     assert done == [0, 1, 2, 3]
 
 
-def test_a_process_with_other_threads_is_not_forked(tmp_path: Path) -> None:
-    paths = [tmp_path / str(number) for number in range(4)]
+def with_a_thread(folder: Path) -> None:
+    paths = [folder / str(number) for number in range(4)]
     waiting = threading.Event()
     thread = threading.Thread(target=waiting.wait)
     thread.start()
@@ -65,9 +81,20 @@ def test_a_process_with_other_threads_is_not_forked(tmp_path: Path) -> None:
     assert {by(path) for path in paths} == {os.getpid()}
 
 
-@pytest.mark.parametrize("how", [lambda: os.kill(os.getpid(), signal.SIGKILL), lambda: 1 // 0])
-def test_what_a_fork_does_not_finish_is_done_here(tmp_path: Path, how: Callable[[], object]) -> None:
-    here, begun = os.getpid(), tmp_path / "begun"
+def test_a_process_with_other_threads_is_not_forked(tmp_path: Path) -> None:
+    tried(with_a_thread, tmp_path)
+
+
+def is_killed() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fails() -> None:
+    raise ZeroDivisionError
+
+
+def fork_ends(folder: Path, how: Callable[[], None]) -> None:
+    here, begun = os.getpid(), folder / "begun"
 
     def task(path: Path) -> None:
         if os.getpid() != here:
@@ -75,15 +102,25 @@ def test_what_a_fork_does_not_finish_is_done_here(tmp_path: Path, how: Callable[
             how()
         waits_for(path, begun)  # so the fork has taken the other one
 
-    paths = [tmp_path / "a", tmp_path / "b"]
+    paths = [folder / "a", folder / "b"]
     side_by_side([partial(task, path) for path in paths], processes=2)
     assert {by(path) for path in paths} == {here}
 
 
-def test_what_is_raised_is_raised_here_and_no_process_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("how", [is_killed, fails])
+def test_what_a_fork_does_not_finish_is_done_here(tmp_path: Path, how: Callable[[], None]) -> None:
+    tried(fork_ends, tmp_path, how)
+
+
+def is_interrupted() -> None:
     forks: list[int] = []
     real = module._fork
-    monkeypatch.setattr(module, "_fork", lambda *about: forks.append(real(*about)) or forks[-1])
+
+    def fork(*about: object) -> int:
+        forks.append(real(*about))  # type: ignore[arg-type]
+        return forks[-1]
+
+    module._fork = fork
     here = os.getpid()
 
     def task() -> None:
@@ -95,6 +132,10 @@ def test_what_is_raised_is_raised_here_and_no_process_stays(monkeypatch: pytest.
     with pytest.raises(KeyboardInterrupt):
         side_by_side([task, task], processes=2)
     assert time.monotonic() - begun < 30.0
-    (fork,) = forks
+    (number,) = forks
     with pytest.raises(ProcessLookupError):
-        os.kill(fork, 0)
+        os.kill(number, 0)
+
+
+def test_what_is_raised_is_raised_here_and_no_process_stays() -> None:
+    tried(is_interrupted)
