@@ -64,14 +64,14 @@ class Agent:
     """The agent of robot `robot` of `fleet`, an `agent.node.Node`.
 
     Args:
-        reads: see `agent.links.ingress.Ingress`.
+        decoder: see `agent.links.ingress.Ingress`.
 
     Raises:
         agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
         agent.control.own_law.LawError: its law cannot be made.
     """
 
-    def __init__(self, fleet: Fleet, robot: int, reads: Decode | None = None) -> None:
+    def __init__(self, fleet: Fleet, robot: int, decoder: Decode | None = None) -> None:
         fleet.robot(robot)  # says which there are, when there is none of that id
         name = fleet.fleet.name
         self.robot: Final = robot
@@ -130,7 +130,7 @@ class Agent:
             {"hand": others, "beacon": others, "state": (robot,)},
             self._damaged,
             self._radio,
-            reads,
+            decoder,
         )
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from agent.control.hand import State
+from agent.control.hand import PoseTuple
 
 
 def hand_acceleration(
-    force: float, torque: float, pose: State, mass: float, inertia: float, offset: float
+    force: float, torque: float, pose: PoseTuple, mass: float, inertia: float, offset: float
 ) -> tuple[float, float]:
     """Acceleration of the hand (m/s^2, W) under a force (N) and a torque (N m): G + H [F, tau], (4)."""
     _, _, heading, speed, yaw_rate = pose

@@ -121,7 +121,7 @@ class ConstraintAssembly:
                 for plane in self._right_of_way.planes(own):  # others may drive there, or not
                     scene.planes.extend(_pushing_last(plane, own, self._barrier_rate))
 
-    def dodge(self, scene: Scene, body: hand.State) -> Vector | None:
+    def dodge(self, scene: Scene, body: hand.PoseTuple) -> Vector | None:
         """What to ask of the own hand, m/s^2, W, to get out of the way of those that roll on, though nothing
         commands them; None where standing does, or something else is in the way. What keeps it from them
         otherwise is taken out of `scene`.

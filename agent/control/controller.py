@@ -375,14 +375,14 @@ class Controller:
         if len(self._sent) > self._sent_max:
             del self._sent[next(iter(self._sent))]
 
-    def _pose_at(self, plant: PlantState, time_ns: int) -> hand.State:
+    def _pose_at(self, plant: PlantState, time_ns: int) -> hand.PoseTuple:
         """Own body at `time_ns`, from a plant state and what acts on the body since.
 
         A plant state that came late says nothing of the wrenches that the plant took after it:
         those are the ones that were sent. How hard a plant brakes is its own affair, and the force that it
         states then is that of one of its periods: held on it would drive a body backwards that stands then.
         """
-        pose: hand.State = plant.x, plant.y, plant.heading, plant.speed, plant.yaw_rate
+        pose: hand.PoseTuple = plant.x, plant.y, plant.heading, plant.speed, plant.yaw_rate
         acts: tuple[float, float] | None = (plant.force, plant.torque)
         since_ns = plant.time_ns
         boundary_ns = self.acts_from_ns(since_ns)
@@ -402,7 +402,7 @@ class Controller:
             boundary_ns += self._period_ns
         return self._moved(pose, acts, (time_ns - since_ns) / NS_PER_S)
 
-    def _moved(self, pose: hand.State, acts: tuple[float, float] | None, dt: float) -> hand.State:
+    def _moved(self, pose: hand.PoseTuple, acts: tuple[float, float] | None, dt: float) -> hand.PoseTuple:
         """The own body after `dt` seconds in which this force and torque act, None: in which it brakes."""
         if acts is None:
             return hand.braked(pose, BRAKING_TIME_S, dt)
@@ -500,7 +500,7 @@ class Controller:
         ux: float,
         uy: float,
         planes: list[safety_filter.HalfPlane],
-        body: hand.State,
+        body: hand.PoseTuple,
         own: hand.Hand,
         reference: Vector,
         slower: float,

@@ -21,7 +21,12 @@ boundary with a number."""
 
 
 class Constraint:
-    """One constraint at one instant: `other` is None for what stands still, `degree` that of the other."""
+    """One constraint at one instant.
+
+    key: of its multiplier. edge: what the law needs of it. other: the robot at its other end, None for what
+    stands still. degree: how many constraints act on that. one_sided: it pushes apart, and never pulls.
+    name: of what it keeps away from, for reports.
+    """
 
     __slots__ = "degree", "edge", "key", "name", "one_sided", "other"
 

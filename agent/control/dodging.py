@@ -13,7 +13,7 @@ from math import cos, inf, sin
 from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
-from agent.control.hand import State
+from agent.control.hand import PoseTuple
 
 Way = Sequence[Vector]
 """Where a body is every `STEP_S` from now on, until it rests; m, W."""
@@ -52,7 +52,7 @@ class Ability(NamedTuple):
     reach: float
 
 
-def clearance(body: State, move: Move, ways: Sequence[tuple[Way, float]], can: Ability) -> float:
+def clearance(body: PoseTuple, move: Move, ways: Sequence[tuple[Way, float]], can: Ability) -> float:
     """By how much more than it has to be, at least, the hand of a body keeps from others, m, at such a move.
 
     Args:
@@ -84,7 +84,7 @@ def clearance(body: State, move: Move, ways: Sequence[tuple[Way, float]], can: A
     return least
 
 
-def acceleration(body: State, move: Move, can: Ability) -> Vector:
+def acceleration(body: PoseTuple, move: Move, can: Ability) -> Vector:
     """What such a move is for the hand at first, m/s^2, W; no more than `hardest`."""
     _, _, heading, speed, turn = body
     along = max(-can.hardest, min(can.hardest, (move.speed * can.most - speed) / STEP_S))
@@ -96,7 +96,7 @@ def acceleration(body: State, move: Move, can: Ability) -> Vector:
 
 
 def out_of_the_way(
-    body: State, ways: Sequence[tuple[Way, float]], can: Ability, before: Move = STAND
+    body: PoseTuple, ways: Sequence[tuple[Way, float]], can: Ability, before: Move = STAND
 ) -> Move:
     """Which of `MOVES` keeps away from bodies that roll on; `STAND` where that does.
 

@@ -19,8 +19,9 @@ class Pose(NamedTuple):
     yaw_rate: float
 
 
-State = tuple[float, float, float, float, float]
-"""The same without names, as a tick computes with it."""
+PoseTuple = tuple[float, float, float, float, float]
+"""A `Pose` without its names, (x, y, heading, speed, yaw rate), in the same units and frame: what a tick
+makes several of and computes with."""
 
 
 class Hand(NamedTuple):
@@ -32,7 +33,7 @@ class Hand(NamedTuple):
     vy: float
 
 
-def hand(pose: State, offset: float) -> Hand:
+def hand(pose: PoseTuple, offset: float) -> Hand:
     """Hand point `offset` = L (m) ahead of the robot's centre, (2)-(3), and its velocity."""
     x, y, heading, speed, yaw_rate = pose
     c, s = cos(heading), sin(heading)
@@ -41,7 +42,7 @@ def hand(pose: State, offset: float) -> Hand:
 
 
 def wrench(
-    ux: float, uy: float, pose: State, mass: float, inertia: float, offset: float
+    ux: float, uy: float, pose: PoseTuple, mass: float, inertia: float, offset: float
 ) -> tuple[float, float]:
     """Force (N) and torque (N m) that give the hand the acceleration (ux, uy), m/s^2, W: (5), (39).
 
@@ -54,7 +55,9 @@ def wrench(
     return mass * along, inertia * across / offset
 
 
-def advance(pose: State, force: float, torque: float, mass: float, inertia: float, dt: float) -> State:
+def advance(
+    pose: PoseTuple, force: float, torque: float, mass: float, inertia: float, dt: float
+) -> PoseTuple:
     """The body `dt` seconds later under a constant force (N) and torque (N m), from (1).
 
     Speed, yaw rate and heading are exact; the position is Simpson's rule on the path, whose error
@@ -77,7 +80,7 @@ def advance(pose: State, force: float, torque: float, mass: float, inertia: floa
     )
 
 
-def braked(pose: State, brake_time_s: float, dt: float) -> State:
+def braked(pose: PoseTuple, brake_time_s: float, dt: float) -> PoseTuple:
     """The body `dt` seconds later while it brakes: speed and yaw rate die away with a time constant, s, and
     never turn round. It goes along the mean of its headings, which at rest is exact for a body that does not
     turn, and short of that by less than a tenth of the way for one that turns by a radian until it stands.

@@ -13,7 +13,7 @@ from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN
-from agent.control.hand import State
+from agent.control.hand import PoseTuple
 
 BODY: Final = 0
 STANDING: Final = 1
@@ -164,7 +164,7 @@ def limit_speed(
 
 
 def limit_actuators(
-    pose: State,
+    pose: PoseTuple,
     mass: float,
     inertia: float,
     reach: float,
@@ -212,7 +212,7 @@ def turning_limit(speed: float, reach: float, most: float, rate: float) -> tuple
 
 
 def limit_turning(
-    pose: State, reach: float, most: float, rate: float, cause: str = "turning", *, quickest: float = inf
+    pose: PoseTuple, reach: float, most: float, rate: float, cause: str = "turning", *, quickest: float = inf
 ) -> tuple[HalfPlane, ...]:
     """Keeps the yaw rate within `turning_limit`, (F9): L wdot = u . (-sin, cos) - v w.
 

@@ -59,7 +59,7 @@ class Ingress:
         sources: by topic (`agent.messages.types.TOPICS`), the robots whose messages come here.
         damaged: called with the key of what is no valid message, and why.
         radio: over which other robots' messages come, None for one that keeps nothing waiting.
-        reads: makes a message of bytes, as `agent.messages.codec.decode`, which is what None stands for.
+        decoder: makes a message of bytes; None for `agent.messages.codec.decode`.
 
     Attributes:
         subscriptions, publications: keys that the node needs for it.
@@ -75,10 +75,10 @@ class Ingress:
         sources: Mapping[str, Sequence[int]],
         damaged: Callable[[str, Malformed], None] | None = None,
         radio: Radio[OnAir] | None = None,
-        reads: Decode | None = None,
+        decoder: Decode | None = None,
     ) -> None:
         name = fleet.fleet.name
-        self._decode: Decode = decode if reads is None else reads
+        self._decode: Decode = decode if decoder is None else decoder
         self.plan: Final = FaultPlan(fleet)
         self._radio = radio
         self._links = LinkEmulator(self.plan, robot, sources, radio=radio is not None)

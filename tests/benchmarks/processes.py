@@ -65,6 +65,30 @@ def handfast(*arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", "deploy.cli", *arguments]
 
 
+def finish(words: Sequence[str], timeout_s: float) -> None:
+    """Runs `handfast run` to its end, whatever its verdict.
+
+    Raises:
+        BenchmarkError: it did not end in time, or could not run.
+    """
+    process = subprocess.Popen(
+        words,
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        _, errors = process.communicate(timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        raise BenchmarkError("handfast run did not end") from None
+    finally:
+        end(process)
+    if process.returncode not in (0, 1):
+        raise BenchmarkError(f"handfast run: {errors.decode(errors='replace')[-500:]}")
+
+
 def descendants(pid: int) -> list[int]:
     """Pids of the processes that it has started, and that those have."""
     found: list[int] = []

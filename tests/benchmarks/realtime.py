@@ -32,7 +32,7 @@ from deploy.processes.machine import overload_here
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.benchmarks.figures import Figure, Options, Result, number, table
-from tests.benchmarks.processes import BenchmarkError, NotHereError, end, environment, handfast
+from tests.benchmarks.processes import BenchmarkError, NotHereError, end, environment, finish, handfast
 
 FLEET: Final = "delta"
 RATES_HZ: Final = (50, 100, 200)
@@ -124,22 +124,7 @@ def drive(folder: Path, rate_hz: int, duration_s: float, *, realtime: bool) -> R
     ]
     words = handfast("run", FLEET, "--no-report", "--no-check", "--quiet", "--out", str(out))
     words += ["--duration", f"{duration_s:g}", *(word for each in settings for word in ("--set", each))]
-    process = subprocess.Popen(
-        words,
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
-    try:
-        _, errors = process.communicate(timeout=duration_s + COMMAND_TIMEOUT_S)
-    except subprocess.TimeoutExpired:
-        raise BenchmarkError("handfast run did not end") from None
-    finally:
-        end(process)
-    if process.returncode not in (0, 1):
-        raise BenchmarkError(f"handfast run: {errors.decode(errors='replace')[-500:]}")
+    finish(words, duration_s + COMMAND_TIMEOUT_S)
     return read_run(out)
 
 

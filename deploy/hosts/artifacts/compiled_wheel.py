@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import platform
 import sys
 import sysconfig
 import zipfile
@@ -32,8 +33,6 @@ def suffix() -> str:
 def runs_here(python: tuple[int, int], machine: str, libc: tuple[str, str]) -> bool:
     """Whether a computer runs what was compiled here: of the same processor and Python, and a C library that
     is no older than the one it was linked with."""
-    import platform
-
     name, version = platform.libc_ver()
     if (python, machine, libc[0]) != (sys.version_info[:2], platform.machine(), name):
         return False
