@@ -428,10 +428,19 @@ def scatter(plan: Plan, rows: Mapping[int, Row]) -> Figure:
             )
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best")
+    axes.set_xlim(*_whole(plan.ranges[0]))  # that nothing was drawn somewhere is to be seen
+    if len(plan.ranges) > 1:
+        axes.set_ylim(*_whole(plan.ranges[1]))
     axes.set_xlabel(_range_label(plan.ranges[0]))
     axes.set_ylabel(_range_label(plan.ranges[1]) if len(plan.ranges) > 1 else "settling time (s)")
     axes.set_title(f"{len(every)} runs, {settled.sum()} settled")
     return figure
+
+
+def _whole(drawn: Range) -> tuple[float, float]:
+    """Limits of an axis that shows all of a range."""
+    edge = 0.02 * (drawn.high - drawn.low)
+    return drawn.low - edge, drawn.high + edge
 
 
 def _range_label(drawn: Range) -> str:
