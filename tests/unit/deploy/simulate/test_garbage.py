@@ -13,6 +13,7 @@ from deploy.simulate.garbage import OBJECTS, seldom_looked_for
 @pytest.fixture(autouse=True)
 def _restored() -> Iterator[None]:
     before = gc.get_threshold()
+    gc.unfreeze()  # what tests before this one have frozen
     yield
     gc.set_threshold(*before)
     gc.unfreeze()
