@@ -137,7 +137,7 @@ class Agent:
         self._report = StatusReport(self.rejected, self._overload, self._radio, status_hz(len(fleet.robots)))
         self._route(name, others)
 
-        self.alive_keys: Final = (key_expressions.alive(name, robot, "agent"),)
+        self.alive_keys: Final[tuple[str, ...]] = (key_expressions.alive(name, robot, "agent"),)
         self._alive_of = {other: key_expressions.alive(name, other, "agent") for other in others}
         self.watched: tuple[str, ...] = ()
         if self._watches_all:
@@ -156,7 +156,7 @@ class Agent:
             *self._ingress.subscriptions,
         )
         self.subscriptions: tuple[str, ...] = self._always
-        self.publications: Final = (
+        self.publications: Final[tuple[str, ...]] = (
             *self._outbox.keys,
             self._key_status,
             self._relay.key,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from agent.common.named_tuples import new
 from agent.common.time import NS_PER_S, MachineClock
 from agent.control.hand import Pose
 from agent.fleet.model import Fleet
@@ -69,7 +70,7 @@ class PlantNode:
         self._key_state = key_expressions.plant_state(name, robot)
         self._key_truth = key_expressions.plant_truth(name, robot)
         self._key_wrench = key_expressions.wrench(name, robot)
-        self.alive_keys: Final = (key_expressions.alive(name, robot, "plant"),)
+        self.alive_keys: Final[tuple[str, ...]] = (key_expressions.alive(name, robot, "plant"),)
         self._key_checks = key_expressions.checks(name, robot)
         self._key_texts = key_expressions.status_texts(name, robot)
         geometry = None
@@ -101,7 +102,8 @@ class PlantNode:
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
         self._has_checks = getattr(type(backend), "checks", None) is not PlantBackend.checks
         self._speaks = getattr(type(backend), "status_texts", None) is not PlantBackend.status_texts
-        self.subscriptions: Final = (
+        # Of no certain length: in C a tuple of one is no object, and whoever asks for it gets a new one.
+        self.subscriptions: Final[tuple[str, ...]] = (
             key_expressions.stop(name),
             key_expressions.resume(name),
             relayed,
@@ -109,8 +111,8 @@ class PlantNode:
             key_expressions.mission(name),
             *self._ingress.subscriptions,
         )
-        self.watched: Final = ()
-        self.publications: Final = (
+        self.watched: Final[tuple[str, ...]] = ()
+        self.publications: Final[tuple[str, ...]] = (
             self._key_state,
             self._key_truth,
             self._key_checks,
@@ -280,7 +282,7 @@ class PlantNode:
                 self._taken_ns = now_ns
             # It does not act on for longer: see `ACTS_PERIODS`.
             acts = now_ns - self._taken_ns < ACTS_PERIODS * self.period_ns << wrench.step
-            return Command(wrench.force, wrench.torque) if acts else COAST
+            return new(Command, (wrench.force, wrench.torque)) if acts else COAST
         return None
 
     def tick(self, now_ns: int) -> list[Outgoing]:
@@ -352,16 +354,12 @@ class PlantNode:
         return payload
 
     def _state(self, sequence: int, reading: Reading, pose: Pose, command: Command | None) -> PlantState:
-        return PlantState(
-            self.robot,
-            sequence,
-            reading.time_ns,
-            *pose,
-            reading.force,
-            reading.torque,
-            command is not None and reading.healthy and reading.obeying,
-            reading.healthy,
-            reading.obeying,
-            clipped(reading.note) if reading.note else "",
-            (reading.asked,) if reading.asked is not None else (),
-        )
+        x, y, heading, speed, yaw_rate = pose
+        time_ns, _, force, torque, healthy, note, obeying, asked = reading
+        driving = command is not None and healthy and obeying
+        goes_by = () if asked is None else (asked,)
+        values = (
+            self.robot, sequence, time_ns, x, y, heading, speed, yaw_rate, force, torque,
+            driving, healthy, obeying, clipped(note) if note else "", goes_by,
+        )  # fmt: skip
+        return new(PlantState, values)

@@ -76,7 +76,7 @@ class PlantPool:
         self.alive_keys: Final = tuple(key for node in nodes for key in node.alive_keys)
         self.subscriptions: Final = tuple(self._takers)
         self.publications: Final = tuple(key for node in nodes for key in node.publications)
-        self.watched: Final = ()
+        self.watched: Final[tuple[str, ...]] = ()
         self._lasting: tuple[bytes, ...] = ()
         self.condition: Final = ("serving", f"the plants of {len(nodes)} robots")
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
+from agent.common.named_tuples import new
 from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.model import Fleet
@@ -115,7 +116,7 @@ def _moved(
     heading = heading0 + (rate0 + 0.5 * spin * dt) * dt
     if c:
         heading += c * (dt - lag_c * (1.0 - exp(-dt / lag_c)))
-    return Pose(x0 + h * x, y0 + h * y, heading, speed_end, rate_end)
+    return new(Pose, (x0 + h * x, y0 + h * y, heading, speed_end, rate_end))
 
 
 def _limited(value: float, limit: float | None) -> float:
@@ -157,14 +158,10 @@ class Unicycle(VirtualBody):
         else:
             self._actuate(self._brake(), 0.0)  # a brake is not the motor: it has no lag
         force, torque = self._force, self._torque
-        return Reading(
-            now_ns,
-            self._pose,
-            force.mean(self._period_s) if force.lag > 0.0 else force.target,
-            torque.mean(self._period_s) if torque.lag > 0.0 else torque.target,
-            not self._broken,
-            self._broken,
-        )
+        gives = force.mean(self._period_s) if force.lag > 0.0 else force.target
+        twists = torque.mean(self._period_s) if torque.lag > 0.0 else torque.target
+        broken = self._broken
+        return new(Reading, (now_ns, self._pose, gives, twists, not broken, broken, True, None))
 
     @property
     def pose(self) -> Pose:
@@ -174,9 +171,10 @@ class Unicycle(VirtualBody):
     def _actuate(self, command: Command, lag: float) -> None:
         """From now on the actuators go from what they give to `command`, within their limits."""
         body = self._body
-        (force, torque), (gives, twists) = command, self._gives
-        self._force = Actuator(gives, _limited(force, body.max_force_n), lag)
-        self._torque = Actuator(twists, _limited(torque, body.max_torque_nm), lag)
+        force, torque = command
+        gives, twists = self._gives
+        self._force = new(Actuator, (gives, _limited(force, body.max_force_n), lag))
+        self._torque = new(Actuator, (twists, _limited(torque, body.max_torque_nm), lag))
 
     def _move(self, dt: float) -> None:
         """The body `dt` seconds on, with what was asked of it last.
@@ -225,7 +223,7 @@ class Unicycle(VirtualBody):
         body, pose = self._body, self._pose
         deceleration = _limited(-pose.speed / self._brake_time_s, BRAKE_DECELERATION_MAX)
         spin = _limited(-pose.yaw_rate / self._brake_time_s, BRAKE_SPIN_MAX)
-        return Command(body.mass_kg * deceleration, body.inertia_kgm2 * spin)
+        return new(Command, (body.mass_kg * deceleration, body.inertia_kgm2 * spin))
 
     def close(self) -> None:
         """Nothing: the body is this object."""

@@ -205,8 +205,9 @@ class ConstraintAssembly:
             gap += self._unforeseen(age_ns / NS_PER_S)
         late = age_ns >= UNSURE_NS
         # What it does meanwhile is known only while its message is new.
-        (nx, ny), (cx, cy) = other.navigation, other.constraint
-        pushed = _AT_REST if late else (nx + cx, ny + cy)
+        pushed = _AT_REST
+        if not late:
+            pushed = other.navigation[0] + other.constraint[0], other.navigation[1] + other.constraint[1]
         plane = safety_filter.keep_apart(
             name,
             (dx, dy),
@@ -377,9 +378,10 @@ class ConstraintAssembly:
 
 def _may_stand(message: HandState, *, late: bool) -> bool:
     """Whether a robot that follows the law may be held where it is: it stood, or made way for somebody."""
-    return hypot(message.vx, message.vy) < SPEED_MIN or (
-        late and hypot(message.correction_x, message.correction_y) > TURNED
-    )
+    vx, vy = message.vx, message.vy
+    if -SPEED_MIN < vx < SPEED_MIN and hypot(vx, vy) < SPEED_MIN:  # of most the first says it
+        return True
+    return late and hypot(message.correction_x, message.correction_y) > TURNED
 
 
 def _rank(doubt: float, *, follows: bool, rolls: bool) -> int:

@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterator
 from math import ceil, hypot, inf
 from typing import TYPE_CHECKING, Final
 
+from agent.common.named_tuples import new
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
@@ -489,7 +490,7 @@ class Controller:
                     blocker = self._blocker(plane.nx, plane.ny, plane.cause, moving)
                     (waits if plane.cause in lanes else blockers).append(blocker)
         limits = tuple(cause for cause in causes if cause not in names)
-        return Hold(blockers, waits, (x, y), robots, frozenset(astray), limits)
+        return new(Hold, (blockers, waits, (x, y), robots, frozenset(astray), limits))
 
     def _blocker(self, nx: float, ny: float, name: str, moving: Collection[str]) -> Blocker:
         body = any(peer.name == name for peer in self._about())

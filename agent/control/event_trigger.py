@@ -107,13 +107,15 @@ class EventTrigger:
         if message.obeys != last.obeys and self._forecast.rests_off(last, message) > ROLL_ERROR:
             return True
         expected = self._expected(last, message.time_ns)
-        (x, y), (vx, vy) = expected.position, expected.velocity
+        x, y = expected.position
+        vx, vy = expected.velocity
         off = hypot(message.x - x, message.y - y) + LOOKAHEAD_S * hypot(message.vx - vx, message.vy - vy)
         if off > self._bound_m:
             return True
         if not message.following:
             return False
-        (nx, ny), (cx, cy) = expected.navigation, expected.constraint
+        nx, ny = expected.navigation
+        cx, cy = expected.constraint
         of_constraint = hypot(message.constraint_x - cx, message.constraint_y - cy)
         of_rest = hypot(
             message.navigation_x + message.correction_x - nx, message.navigation_y + message.correction_y - ny

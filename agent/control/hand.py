@@ -8,6 +8,8 @@ from __future__ import annotations
 from math import cos, exp, sin
 from typing import NamedTuple
 
+from agent.common.named_tuples import new
+
 
 class Pose(NamedTuple):
     """State of a unicycle (1): x, y (m, W), heading (rad), speed (m/s), yaw rate (rad/s)."""
@@ -38,7 +40,7 @@ def hand(pose: PoseTuple, offset: float) -> Hand:
     x, y, heading, speed, yaw_rate = pose
     c, s = cos(heading), sin(heading)
     across = offset * yaw_rate
-    return Hand(x + offset * c, y + offset * s, speed * c - across * s, speed * s + across * c)
+    return new(Hand, (x + offset * c, y + offset * s, speed * c - across * s, speed * s + across * c))
 
 
 def wrench(

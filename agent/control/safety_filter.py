@@ -12,6 +12,7 @@ from __future__ import annotations
 from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
+from agent.common.named_tuples import new
 from agent.common.quantities import DISTANCE_MIN
 from agent.control.hand import PoseTuple
 
@@ -279,7 +280,7 @@ def project(ux: float, uy: float, planes: list[HalfPlane], most: float) -> Filte
             if nx * ux + ny * uy < plane.least - tolerance and (nx or ny):
                 break
         else:
-            return Filtered(ux, uy, (), 0.0)
+            return new(Filtered, (ux, uy, (), 0.0))
     limits = [(plane.nx, plane.ny, _bounded(plane.least)) for plane in planes]
     found = _optimum(ux, uy, [limit for limit in limits if limit[0] or limit[1]], most, tolerance)
     if found is None:
@@ -299,7 +300,7 @@ def project(ux: float, uy: float, planes: list[HalfPlane], most: float) -> Filte
                 violation = short
     if size > most - tolerance:
         causes.append("acceleration")
-    return Filtered(x, y, tuple(causes), violation)
+    return new(Filtered, (x, y, tuple(causes), violation))
 
 
 def _bounded(least: float) -> float:

@@ -93,8 +93,8 @@ class Ingress:
             else key_expressions.plant_links(name, robot)
         )
         self._key_held = key_expressions.faults_held(name, robot, role)
-        self.subscriptions: Final = (key_faults,)
-        self.publications: Final = (self._key_trace, self._key_held)
+        self.subscriptions: Final[tuple[str, ...]] = (key_faults,)
+        self.publications: Final[tuple[str, ...]] = (self._key_trace, self._key_held)
         self._said: dict[str, Faults] = {}
         self._held_due_ns: int | None = None
         self.on(key_faults, Faults, self.accept)

@@ -39,7 +39,8 @@ from agent.messages.validation import Malformed, examined, shown
 TYPE_OF: Final = {cls: number for number, cls in enumerate(CLASSES)}
 _HEADS: Final[dict[type[Message], tuple[Any, ...]]] = {cls: (VERSION, TYPE_OF[cls]) for cls in CLASSES}
 _FEWEST: Final = {cls: len(cls._fields) - len(rest) for cls in CLASSES if (rest := omitted(cls))}
-_takers: dict[int, Taker] = {}
+_examined: Final = examined
+_takers: Final[dict[int, Taker]] = {}
 """By the number of the class; each is made when the first of its messages comes, or by `be_ready`."""
 COMPILED_FAST_PATH: Final = "agent.messages.compiled_fast_path"
 """Module that there is only where the rest is compiled."""
@@ -60,8 +61,11 @@ KNOWN: Final = 4
 """A mission of so many bytes takes longer to read than to find among the last so many, and comes often:
 operators and robots say the same bytes until all have it, and all robots of a process hear them."""
 
-_pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
-_checksum = Struct(">BI").pack
+# Final, here: in C a name of a module that is none is looked up each time.
+_pack: Final = msgpack.Packer(use_bin_type=True, autoreset=True).pack
+_unpack: Final = msgpack.unpackb
+_checksum: Final = Struct(">BI").pack
+_crc32: Final = crc32
 _UINT32: Final = 0xCE
 _CHECKSUM_BYTES: Final = 5
 
@@ -108,7 +112,7 @@ def encode(message: Message) -> bytes:
         while count > fewest and not message[count - 1]:
             count -= 1
         packed = _pack(_HEADS[cls] + message[:count])
-    return packed + _checksum(_UINT32, crc32(packed))
+    return packed + _checksum(_UINT32, _crc32(packed))
 
 
 def decode(payload: bytes) -> Message:
@@ -128,7 +132,7 @@ def _decoded(payload: bytes) -> Message:
         if len(payload) > most:
             raise Malformed("oversized", f"{len(payload)} bytes, at most {most} are accepted")
     packed = payload[:-_CHECKSUM_BYTES]
-    if payload[-_CHECKSUM_BYTES:] != _checksum(_UINT32, crc32(packed)):
+    if payload[-_CHECKSUM_BYTES:] != _checksum(_UINT32, _crc32(packed)):
         raise _unchecked(payload)
     try:
         array = _unpacked(packed)
@@ -142,7 +146,7 @@ def _decoded(payload: bytes) -> Message:
     take = _takers.get(number) if type(number) is int else None
     if take is None:
         take = _taker(number)
-    return take(array, examined)
+    return take(array, _examined)
 
 
 _known: Final = lru_cache(maxsize=KNOWN)(_decoded)
@@ -166,7 +170,7 @@ def _taker(number: Any) -> Taker:
 
 def _unpacked(packed: bytes) -> Any:
     text_max = RULES_MAX if packed[: len(_FAULTS_HEAD)] == _FAULTS_HEAD else TEXT_MAX
-    return msgpack.unpackb(packed, use_list=False, max_array_len=_STATUS_VALUES_MAX, max_str_len=text_max)
+    return _unpack(packed, use_list=False, max_array_len=_STATUS_VALUES_MAX, max_str_len=text_max)
 
 
 def _unchecked(payload: bytes) -> Malformed:

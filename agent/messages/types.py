@@ -12,6 +12,7 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import Annotated, Any, Final, NamedTuple, get_args
 
+from agent.common.named_tuples import new
 from agent.messages.declaration import FLOAT_MAX as FLOAT_MAX
 from agent.messages.declaration import About
 from agent.messages.sequence_numbers import FIRST_ROUND
@@ -264,8 +265,12 @@ class HandState(NamedTuple):
         lost_ms: int = 0,
     ) -> HandState:
         """One that says only where a robot is, as a beacon does; `place`: x, y, vx, vy."""
-        said = (*place, *NO_FORCES, doubt)
-        return cls(robot, sequence, time_ns, following, degree, *said, (), (), obeys=obeys, lost_ms=lost_ms)
+        x, y, vx, vy = place
+        values = (
+            robot, sequence, time_ns, following, degree, x, y, vx, vy, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, doubt,
+            (), (), (), 0, 0, obeys, lost_ms,
+        )  # fmt: skip
+        return new(cls, values)
 
     @property
     def place(self) -> tuple[float, float, float, float]:
@@ -732,11 +737,13 @@ class Beacon(NamedTuple):
 
     def obeys(self, robot: int) -> tuple[tuple[float, float, float], ...]:
         """As `HandState.obeys`, of any robot that it tells of."""
+        if not self.rolling:  # as nearly always
+            return ()
         return tuple(row[1:] for row in self.rolling if row[0] == robot)[:1]
 
     def lost_ms(self, robot: int) -> int:
         """As `HandState.lost_ms`, of any robot that it tells of."""
-        return next((ms for each, ms in self.lost if each == robot), 0)
+        return next((ms for each, ms in self.lost if each == robot), 0) if self.lost else 0
 
 
 class Heartbeat(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from agent.common.named_tuples import new
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
 from agent.control.event_trigger import EventTrigger
@@ -97,7 +98,7 @@ class Outbox:
     ) -> Outgoing:
         """What the plant is asked for: force (N) and torque (N m), or to brake."""
         sequence = self._wrenches.next(now_ns)
-        wrench = Wrench(self._robot, sequence, now_ns, force, torque, brake, self._clock, self._step)
+        wrench = new(Wrench, (self._robot, sequence, now_ns, force, torque, brake, self._clock, self._step))
         return self._key_wrench, encode(wrench)
 
     def hand(
@@ -122,23 +123,13 @@ class Outbox:
                 heard = self._peers.heard()
         else:
             event.hears(self._peers.heard())
-        message = HandState(
-            self._robot,
-            sequence,
-            now_ns,
-            following,
-            degree,
-            *here,
-            *forces,
-            doubt,
-            multipliers,
-            heard,
-            own,
-            self._next_ms,
-            self.stood_ms,
-            obeys,
-            lost_ms,
-        )
+        x, y, vx, vy = here  # one by one: in C that makes no list of them
+        nx, ny, cx, cy, dx, dy = forces
+        values = (
+            self._robot, sequence, now_ns, following, degree, x, y, vx, vy, nx, ny, cx, cy, dx, dy, doubt,
+            multipliers, heard, own, self._next_ms, self.stood_ms, obeys, lost_ms,
+        )  # fmt: skip
+        message = new(HandState, values)
         if event is not None:
             round_ns = (now_ns - self._phase_ns) // self._period_ns * self._period_ns
             next_ms = event.next_ms(message, round_ns)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import hypot, inf
 from typing import Final
 
+from agent.common.named_tuples import new
 from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.fleet.model import Fleet
@@ -168,19 +169,14 @@ class Situation:
         if self._overload.level and not self._overload.stands:
             degraded = "; ".join(filter(None, (self._overload.text(now_ns), degraded)))
         lacks = "" if mission is not None else self.refused_mission or "for a mission"
-        return Conditions(
-            plant="" if stood else self.plant_trouble,
-            body=self.body_trouble,
-            numbers=self.numbers,
-            place=place,
-            neighbours=neighbours,
-            mission=lacks or ("" if self.may_go_on else NOT_SAID),
-            stop=stop,
-            hold=stood or self._deadman(now_ns) or trust.hold,
-            degraded=degraded,
-            started=begun and self.may_go_on,
-            at_rest=self.at_rest,
-        )
+        plant = "" if stood else self.plant_trouble
+        lacks = lacks or ("" if self.may_go_on else NOT_SAID)
+        hold = stood or self._deadman(now_ns) or trust.hold
+        values = (
+            plant, self.body_trouble, self.numbers, place, neighbours, lacks, stop, hold, degraded,
+            begun and self.may_go_on, self.at_rest,
+        )  # fmt: skip
+        return new(Conditions, values)
 
     def _look_at_body(self, now_ns: int, state: State) -> None:
         """Finds for how long the plant has braked though the robot drives."""

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, Final
 
+from agent.common.named_tuples import new
 from agent.common.time import NS_PER_S
 from agent.control.peers.peer import NEVER, Peer
 from agent.links.radio import Radio
@@ -152,7 +153,7 @@ class StatusReport:
             ),
             tuple(self._tick_us[:STATUS_VALUES_MAX]),
             tuple(self.ages_us[: STATUS_VALUES_MAX + len(neighbours)]),
-            tuple(map(Total._make, counters.items())),
+            tuple([new(Total, each) for each in counters.items()]),
             self.digest,
         )
         self._sequence += 1

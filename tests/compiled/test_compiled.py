@@ -48,6 +48,25 @@ def test_every_module_comes_up() -> None:
     said(COMPILED / "python", "-P", "-W", "error", "-c", f"import {', '.join(names)}")
 
 
+def test_what_a_node_listens_to_is_one_object_until_it_is_something_else() -> None:
+    """Loops compare it by identity. A tuple of a certain length is made anew in C whenever it is asked for,
+    and then each tick of a plant listened anew to all."""
+    source = """
+from agent.core import Agent
+from agent.fleet.loading import load_fleet
+from agent.formation.geometry import resolved
+from deploy.console.arguments import fleet_path
+from plant.node import PlantNode
+from plant.unicycle import from_fleet
+
+fleet = resolved(load_fleet(fleet_path("pair")))
+for node in (Agent(fleet, 1), PlantNode(fleet, 1, from_fleet(fleet, 1))):
+    for name in ("subscriptions", "watched", "lasting"):
+        assert getattr(node, name) is getattr(node, name), (node, name)
+"""
+    said(COMPILED / "python", "-P", "-c", source)
+
+
 def test_the_command_says_which_form_it_is() -> None:
     assert said(COMPILED / "handfast", "--version").endswith("(compiled)\n")
     assert said(ROOT / ".venv" / "bin" / "handfast", "--version").endswith("(pure Python)\n")
