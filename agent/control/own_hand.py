@@ -44,13 +44,16 @@ class OwnHand:
     def measured(self, now_ns: int, plant: PlantState) -> bool:
         """Finds it by a plant's state that may be used; False when that is an impossible place."""
         here = self._controller.hand_at(plant, now_ns)
-        if not max(map(abs, here)) <= FLOAT_MAX:
-            return False
+        x, y, vx, vy = here
+        if not (
+            abs(x) <= FLOAT_MAX and abs(y) <= FLOAT_MAX and abs(vx) <= FLOAT_MAX and abs(vy) <= FLOAT_MAX
+        ):
+            return False  # nor one that is no number
         self._seen = now_ns, here, plant
         self.here = self.shown = here
         self.doubt, self.lost_ms = 0.0, 0
         if self._rolls is not None:
-            self.obeys = (self._controller.obeys(plant, now_ns),) if moves(here.vx, here.vy) else ()
+            self.obeys = (self._controller.obeys(plant, now_ns),) if moves(vx, vy) else ()
         return True
 
     def lost(self, now_ns: int) -> None:
