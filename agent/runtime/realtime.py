@@ -29,12 +29,16 @@ from pathlib import Path
 from typing import Final
 
 from agent.fleet.process_section import ABOVE_LINKS, ProcessSection
-from agent.runtime.realtime_granted import CAP_IPC_LOCK, is_capable, look, said, to_json
+from agent.runtime.realtime_granted import (
+    CAP_IPC_LOCK,
+    KILLED_S,
+    OVERRUN_S,
+    is_capable,
+    look,
+    said,
+    to_json,
+)
 
-OVERRUN_S: Final = 0.5
-"""A thread that runs for so long without waiting once has its process give up real time."""
-KILLED_S: Final = 3.0
-"""And one that does so for this long, in code that hears no signal, is killed by the kernel."""
 _MCL_CURRENT: Final = 1
 _MCL_FUTURE: Final = 2
 _MCL_ONFAULT: Final = 4

@@ -23,7 +23,11 @@ LIMITS: Final = {"rtprio": "Max realtime priority", "memlock": "Max locked memor
 """Limits as /proc/PID/limits names them: those of other processes cannot be asked for by getrlimit(2)."""
 CAP_IPC_LOCK: Final = 14
 CAP_SYS_NICE: Final = 23
-_ONLINE: Final = Path("/sys/devices/system/cpu/online")
+ONLINE: Final = Path("/sys/devices/system/cpu/online")
+OVERRUN_S: Final = 0.5
+"""A thread that runs for so long without waiting once has its process give up real time."""
+KILLED_S: Final = 3.0
+"""And one that does so for this long, in code that hears no signal, is killed by the kernel."""
 IN_UNITS: Final = (
     "there, as root: in /etc/systemd/system/user@.service.d/handfast.conf [Service] LimitRTPRIO={priority} "
     "and LimitMEMLOCK=infinity, then restart that computer"
@@ -75,7 +79,7 @@ def look(pid: int) -> Granted | None:
         return Granted(
             fifo=os.sched_getparam(pid).sched_priority if policy == os.SCHED_FIFO else 0,
             cpus=tuple(sorted(os.sched_getaffinity(pid))),
-            there=cpu_list(_ONLINE.read_text()),
+            there=cpu_list(ONLINE.read_text()),
             locked=int(status["VmLck"].split()[0]) > 0,
             rtprio=_limit(limits, LIMITS["rtprio"], PRIORITY_MAX),
             memlock=_limit(limits, LIMITS["memlock"], -1),
@@ -168,11 +172,16 @@ def _lacks(section: ProcessSection, role: str, granted: Granted) -> Iterator[tup
             yield f"memory not locked: RLIMIT_MEMLOCK is {limit}, it has to be unlimited", None
         else:
             yield "memory not locked", "see its log: a container or another sandbox may forbid it"
-    if section.cpus and set(granted.cpus) != set(section.cpus):
+    missing = set(section.cpus) - set(granted.cpus)
+    if absent := sorted(missing - set(granted.there)):
+        yield f"not on {cores(absent)}", f"correct process.cpus: there are {cores(granted.there)}"
+    if closed := sorted(missing & set(granted.there)):
         yield (
-            f"not on {cores(section.cpus)}",
-            f"correct process.cpus: there are {cores(granted.there)}, and a container may have fewer",
+            f"not on {cores(closed)}",
+            "a container or control group keeps it from there (cpuset.cpus)",
         )
+    if section.cpus and not missing and (others := sorted(set(granted.cpus) - set(section.cpus))):
+        yield f"on {cores(others)} as well", "something else has set its cores: see `taskset -p`"
 
 
 def _user() -> str:

@@ -16,7 +16,15 @@ from agent.fleet.model import Fleet
 from agent.messages.types import FUTURE_NS_MAX, Heartbeat, Mission, PlantState
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.overload import SAID_NS, Overload
-from agent.supervision.state_machine import ACTIVE, DRIVING, MISSION_OVER, Conditions, State, at_rest
+from agent.supervision.state_machine import (
+    ACTIVE,
+    DRIVING,
+    MISSION_OVER,
+    PLANT_SILENT,
+    Conditions,
+    State,
+    at_rest,
+)
 from agent.supervision.stop_latch import AWAITED, StopLatch
 
 NOT_SAID: Final = "for an operator's word, or for one who drives by its mission: that is of before its start"
@@ -209,7 +217,7 @@ class Situation:
                 if 2 * missed_ns > age_ns:  # it waited for this process most of the time
                     return self._overload.stall(now_ns)
                 return f"plant late by {age_ns / NS_PER_S:.2f} s, or its clock is behind"
-            silent = f"plant silent for {age_ns / NS_PER_S:.2f} s"
+            silent = f"{PLANT_SILENT} for {age_ns / NS_PER_S:.2f} s"
             # Most plants are on the computer of their agents, and may have no more of it than those.
             # One that is silent for no longer than this process stood lately may stand for the same reason.
             is_late = self._overload.wanted or age_ns <= self._overload.missed_ns(now_ns - SAID_NS)

@@ -106,6 +106,8 @@ ACTIVE: Final = DRIVING | {State.HOLDING, State.RELEASED}
 _BEFORE: Final = frozenset({State.WAITING, State.READY})
 MISSION_OVER: Final = "the mission is over"
 """Why a robot stands that nobody has stopped."""
+PLANT_SILENT: Final = "plant silent"
+"""How the reason begins of one whose body tells nothing."""
 _AT_END: Final = frozenset({State.STOPPING, State.STOPPED})
 
 

@@ -169,7 +169,7 @@ def run(
                 raise Error(str(error)) from None
         finally:
             ports.close()
-        result = folder.finish(drive.reasons, interrupt=interrupt, report=report)
+        result = folder.finish(drive.reasons, interrupt=interrupt, warnings=drive.warnings, report=report)
     if interrupt.count:
         raise KeyboardInterrupt(f"stopped; what was recorded is in {folder.path}")
     return Recording(result, folder.path)

@@ -62,7 +62,8 @@ class Drive:
         ways: makes the ways by which robots are stopped, besides the links that there are, after Ctrl-C or
             when they do not answer.
 
-    After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict.
+    After `run`, `reasons` holds what went wrong in the operator's eyes, and `warnings` what fails nothing, as
+    sentences for the verdict.
     """
 
     def __init__(
@@ -97,7 +98,9 @@ class Drive:
         self._events = 0
         self._show_due_ns = self._heartbeat_due_ns = self._deaths_due_ns = 0
         self._is_over = self._is_left = False
+        self._realtime = realtime.Watch(fleet, processes)
         self.reasons: list[str] = []
+        self.warnings: list[str] = []
 
     def run(self, *, detach: bool = False) -> None:
         """Drives the fleet, from the wait until it is ready to standstill.
@@ -157,9 +160,8 @@ class Drive:
             if alive and fleet_state.is_ready and self._checks.complete(now_ns):
                 for warning in self._checks.warnings():
                     self._view.say(f"warning: {warning}")
-                if self._fleet.process.realtime:
-                    for sentence in realtime.in_words(self._fleet, self._processes.granted()):
-                        self._view.say(sentence)
+                for sentence in self._realtime.begin():
+                    self._view.say(sentence)
                 return True
             if waited_s > timeout_s:
                 self._fail(f"Not ready within {timeout_s:.0f} s: {fleet_state.waits(missing)}.")
@@ -297,6 +299,9 @@ class Drive:
             self._deaths_due_ns = now_ns + DEATHS_PERIOD_NS
             if self._deaths():
                 return False
+            for sentence in self._realtime.look(now_ns / NS_PER_S):
+                self.warnings.append(sentence)
+                self._view.say(f"warning: {sentence}")
         return not self._interrupt.count
 
     def _look_after_a_stand(self, now_ns: int) -> None:
@@ -328,7 +333,7 @@ class Drive:
         when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
         alike: dict[str, list[Ended]] = {}
         for child, how in self._processes.deaths():
-            alike.setdefault(how, []).append(child)
+            alike.setdefault(realtime.ended(self._fleet, how), []).append(child)
         for how, children in alike.items():
             if len(children) > DEATHS_MAX:
                 names = some([child.name for child in children])

@@ -58,6 +58,7 @@ class LocalRun:
             *(fleet, folder.fleet_file, folder.log, vehicles), orders=self._orders, server=self._server
         )
         self.reasons: list[str] = []
+        self.warnings: list[str] = []
 
     def run(self) -> None:
         """From start to end; whatever happens, no process is left.
@@ -83,7 +84,7 @@ class LocalRun:
                         timing=Timing.of_own_machine(len(self._processes.names), self._listening_ns),
                         ways=lambda: [FileWay(self._fleet, self._orders)],
                     )
-                    self.reasons = drive.reasons
+                    self.reasons, self.warnings = drive.reasons, drive.warnings
                     drive.run()
             finally:
                 timeout_s = END_TIMEOUT_S + END_EACH_S * self._processes.count

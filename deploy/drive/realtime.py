@@ -6,6 +6,7 @@ Of processes that run the processes are looked at; where none do, one is started
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -14,14 +15,17 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.fleet.process_section import ProcessSection
 from agent.messages.key_expressions import ROLES
-from agent.runtime.realtime_granted import Granted, from_json, said
+from agent.runtime.realtime_granted import KILLED_S, OVERRUN_S, Granted, from_json, said
 from deploy.drive.vehicle_checks import OK, WARNING, Line, sentences
 from deploy.faults.process_actions import Process
 from deploy.processes.command_line import words_of
+from deploy.processes.protocol import FleetProcesses
 
 NAME: Final = "realtime"
 TRIAL: Final = "agent.runtime.realtime"
 TRIAL_S: Final = 20.0
+LOOK_S: Final = 1.0
+"""How often is looked whether processes have real time still."""
 
 
 def lines(
@@ -59,6 +63,48 @@ def in_words(fleet: Fleet, granted: Mapping[Process, Granted | None]) -> list[st
     ]
     good, bad = ([each for each in both if each[0].level == level] for level in (OK, WARNING))
     return [*sentences(good), *(f"warning: {sentence}" for sentence in sentences(bad))]
+
+
+class Watch:
+    """Looks now and then at the processes of a drive whether they have real time still.
+
+    Args:
+        processes: those of the fleet.
+    """
+
+    def __init__(self, fleet: Fleet, processes: FleetProcesses) -> None:
+        self._fleet, self._processes = fleet, processes
+        self._had: set[Process] = set()
+        self._due_s = 0.0
+
+    def begin(self) -> list[str]:
+        """Sentences about what was granted, before a drive."""
+        if not self._fleet.process.realtime:
+            return []
+        granted = self._processes.granted()
+        self._had = {process for process, each in granted.items() if each is not None and each.fifo}
+        return in_words(self._fleet, granted)
+
+    def look(self, at_s: float) -> list[str]:
+        """Sentences about who has given it up since, at a time of this process's clock, s."""
+        if not self._had or at_s < self._due_s:
+            return []
+        self._due_s = at_s + LOOK_S
+        granted = self._processes.granted()
+        gone = sorted(process for process in self._had if (has := granted.get(process)) and not has.fifo)
+        self._had.difference_update(gone)
+        return [
+            f"The {role} of robot {robot} has given up real time: it ran for {OVERRUN_S:g} s without "
+            "waiting, and goes on with SCHED_OTHER."
+            for robot, role in gone
+        ]
+
+
+def ended(fleet: Fleet, how: str) -> str:
+    """How a process ended, with what may have done it where nobody else has."""
+    if fleet.process.realtime and how == f"killed by {signal.SIGKILL.name}":
+        how += f"; the kernel kills one in real time that runs for {KILLED_S:g} s without waiting"
+    return how
 
 
 def trial(section: ProcessSection) -> dict[str, Granted | None]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import floor
+from math import floor, inf
 from typing import Final, NamedTuple
 
 from agent.common.compiled import COMPILED
@@ -59,11 +59,15 @@ RATES_HZ: Final = (50.0, 40.0, 30.0, 25.0, 20.0, 15.0, 12.0, 10.0, 8.0, 6.0, 5.0
 
 
 class Machine(NamedTuple):
-    """A machine that robots are to run on: how many processors may be used, and how fast one is, against that
-    on which the costs were measured."""
+    """A machine that robots are to run on.
+
+    cores: how many processors may be used. speed: how fast one is, against that on which the costs were
+    measured. for_robots: how many of them agents and plants may use (`[process] cpus`).
+    """
 
     cores: float
     speed: float
+    for_robots: float = inf
 
 
 class Cost(NamedTuple):
@@ -108,8 +112,10 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
 
 
 def used(cost: Cost, machine: Machine) -> float:
-    """The share of a machine that a fleet uses; above 1 it does not fit."""
-    return cost.whole / (machine.cores * machine.speed)
+    """The share of a machine that a fleet uses, or that its robots use of what they may; above 1 it does not
+    fit."""
+    of_all = cost.whole / (machine.cores * machine.speed)
+    return max(of_all, cost.robots * (cost.agent + cost.plant) / (machine.for_robots * machine.speed))
 
 
 def is_looked_at(fleet: Fleet) -> bool:
@@ -189,6 +195,8 @@ def describe_cost(fleet: Fleet) -> str:
 def describe_capacity(fleet: Fleet, machine: Machine) -> str:
     """How many robots like these a machine carries, in a sentence without its end."""
     count, cores = carried(fleet, machine), f"{machine.cores:g} core{'s' * (machine.cores != 1)}"
+    if machine.for_robots < machine.cores:
+        cores += f", {machine.for_robots:g} of them in process.cpus"
     text = f"this machine ({cores}) carries about {count} robots like these at {fleet.fleet.rate_hz:g} Hz"
     return f"{text}; {len(fleet.robots)} may be slowed down at times" if _is_tight(fleet, machine) else text
 

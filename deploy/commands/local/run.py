@@ -60,7 +60,7 @@ def _run(options: argparse.Namespace) -> int:
             finally:
                 ports.close()
             page.over()
-            status = finish(options, folder, run.reasons, interrupt)
+            status = finish(options, folder, run.reasons, interrupt, warnings=run.warnings)
             page.recorded()
             return status
 

@@ -208,7 +208,9 @@ def _attend(
         print(f"handfast: {error}", file=sys.stderr)
         return FAILED
     page.over()
-    status = finish(options, folder, drive.reasons, interrupt, warnings=processes.warnings)
+    status = finish(
+        options, folder, drive.reasons, interrupt, warnings=[*drive.warnings, *processes.warnings]
+    )
     page.recorded()
     return status
 

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -62,7 +63,14 @@ def test_less_than_was_asked_for_is_not_all() -> None:
 def test_cores_that_are_not_there_are_said_and_which_are() -> None:
     pinned = ProcessSection(realtime=True, cpus=(1, 7))
     found = words(ALL._replace(cpus=(1,)), pinned)
-    assert "core 1, memory locked; not on cores 1, 7 (correct process.cpus: there are cores 0-1" in found
+    assert found.endswith("core 1, memory locked; not on core 7 (correct process.cpus: there are cores 0-1)")
+    held = words(ALL._replace(cpus=(0,)), replace(pinned, cpus=(0, 1)))
+    kept = "a container or control group keeps it from there (cpuset.cpus)"
+    assert held.endswith(f"core 0, memory locked; not on core 1 ({kept})")
+    both = words(ALL._replace(cpus=(0,)), replace(pinned, cpus=(0, 1, 7)))
+    assert "not on core 7; not on core 1 (correct process.cpus: there are cores 0-1; a container" in both
+    moved = words(ALL._replace(cpus=(0, 1)), replace(pinned, cpus=(1,)))
+    assert "on core 0 as well" in moved
     assert not said(pinned, "agent", ALL._replace(cpus=(1, 7)), as_unit=False).advice
 
 

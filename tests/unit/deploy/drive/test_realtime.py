@@ -6,6 +6,7 @@ import io
 import json
 import sys
 from dataclasses import replace
+from typing import cast
 
 import pytest
 
@@ -19,6 +20,7 @@ from deploy.drive import realtime
 from deploy.drive.preflight import is_simulated, show, summary, to_json
 from deploy.drive.realtime import in_words, lines, trial
 from deploy.drive.vehicle_checks import OK, WARNING, Line
+from deploy.processes.protocol import FleetProcesses
 
 ASKED = ProcessSection(realtime=True)
 AGENT = Granted(41, (0, 1), (0, 1), locked=True, rtprio=42, memlock=-1, privileged=False)
@@ -107,6 +109,47 @@ def test_preflight_says_what_this_machine_grants_where_it_is_asked_for(
     assert "realtime" not in capsys.readouterr().out
     assert main(["preflight", "delta", "--set", "process.realtime=true", "--set", "process.cpus=[1]"]) == 0
     out = capsys.readouterr().out
-    assert "realtime plant: SCHED_FIFO 42, cores 0-1, memory locked; not on core 1" in out
+    assert "realtime plant: SCHED_FIFO 42, cores 0-1, memory locked; on core 0 as well" in out
     assert out.endswith("simulated: nothing to check\nCLEAR, with 12 warnings\n")
     assert tried == [ProcessSection(realtime=True, cpus=(1,))]
+
+
+class Looked:
+    """Processes of a fleet as they are found."""
+
+    def __init__(self) -> None:
+        self.found = all_have(AGENT, PLANT)
+        self.looks = 0
+
+    def granted(self) -> dict[tuple[int, str], Granted | None]:
+        self.looks += 1
+        return self.found
+
+
+def test_who_gives_real_time_up_in_a_drive_is_named_once() -> None:
+    there = Looked()
+    watch = realtime.Watch(fleet(), cast(FleetProcesses, there))
+    assert len(watch.begin()) == 2
+    assert watch.look(10.0) == watch.look(10.5) == []
+    assert there.looks == 2, "a look costs files of each process: one a second is enough"
+    there.found = there.found | {(2, "agent"): REFUSED, (3, "plant"): None}
+    (sentence,) = watch.look(11.0)
+    assert sentence.startswith(
+        "The agent of robot 2 has given up real time: it ran for 0.5 s without waiting"
+    )
+    assert watch.look(12.0) == []
+
+
+def test_nobody_looks_at_a_fleet_that_does_not_ask_for_it() -> None:
+    there = Looked()
+    watch = realtime.Watch(load_fleet(FLEETS / "delta.toml"), cast(FleetProcesses, there))
+    assert watch.begin() == watch.look(10.0) == []
+    assert there.looks == 0
+
+
+def test_what_the_kernel_may_have_killed_is_said_so_where_it_can_be() -> None:
+    killed = "killed by SIGKILL"
+    hint = "the kernel kills one in real time that runs for 3 s"
+    assert realtime.ended(fleet(), killed).startswith(f"{killed}; {hint}")
+    assert realtime.ended(load_fleet(FLEETS / "delta.toml"), killed) == killed
+    assert realtime.ended(fleet(), "exit status 1") == "exit status 1"

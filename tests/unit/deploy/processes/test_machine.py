@@ -6,12 +6,14 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 
 import pytest
 
 from agent.fleet.loading import load_fleet, parse_fleet
+from agent.fleet.process_section import ProcessSection
 from agent.formation.geometry import resolved
 from deploy.analysis.lattice import lattice
 from deploy.check.load.capacity import FULL, Machine, cost_of, used
@@ -123,3 +125,22 @@ def test_the_program_beside_hears_no_ctrl_c_and_ends_with_whoever_started_it() -
     while Path(f"/proc/{pid}").exists() and "State:\tZ" not in Path(f"/proc/{pid}/status").read_text():
         assert time.monotonic() < until, "it goes on"
         time.sleep(0.01)
+
+
+def test_robots_on_cores_of_their_own_have_no_more_than_those(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And these count though this process may not use them itself."""
+    monkeypatch.setattr(machine, "measured", lambda: Machine(1.0, 9.0))
+    monkeypatch.setattr(machine, "_online", lambda: (0, 1, 2))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    monkeypatch.setattr(machine, "_quota", lambda *_: inf)
+    delta = load_fleet(FLEETS / "delta.toml")
+
+    def found(*cpus: int, realtime: bool = True) -> Machine:
+        return measured_for(replace(delta, process=ProcessSection(realtime=realtime, cpus=cpus)))
+
+    assert found(1) == Machine(2.0, 9.0, 1.0)
+    assert found(1, 2) == Machine(3.0, 9.0, 2.0)
+    assert found(0, 7) == Machine(1.0, 9.0, 1.0)
+    assert found() == found(7) == found(1, realtime=False) == Machine(1.0, 9.0), "or it is refused to them"
+    monkeypatch.setattr(machine, "_quota", lambda *_: 1.5)
+    assert found(1, 2) == Machine(1.5, 9.0, 2.0)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from agent.fleet.fault_rules import FaultsSection, Rule
+from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
 from agent.fleet.safety import AvoidanceSection
 from agent.messages import key_expressions
@@ -223,6 +224,18 @@ def test_a_release_after_the_drive_is_none_of_it() -> None:
     assert taken((2.0, 99.0))["verdict"]["warnings"] == []
 
 
+def test_a_plant_of_others_is_named_whose_body_says_nothing() -> None:
+    silent = with_statuses(status(1, 1.0), status(2, 1.0, state="fault", reason="plant silent for 1.50 s"))
+    own = replace(PAIR, robots=tuple(replace(each, plant="my:Plant") for each in PAIR.robots))
+    hint = " Its plant, my:Plant, may hang."
+
+    def told(fleet: Fleet) -> list[str]:
+        return [each for each in judged(fleet, silent)["verdict"]["reasons"] if "in state fault" in each]
+
+    assert told(own) == [f"{sentence}{hint}" for sentence in told(PAIR)]
+    assert len(told(own)) == 1
+
+
 @pytest.mark.parametrize(
     ("tick_us", "skipped", "named"), [(19_000, 9, True), (300, 9, False), (19_000, 0, False)]
 )
@@ -230,12 +243,23 @@ def test_a_law_of_others_is_named_where_ticks_are_skipped(tick_us: int, skipped:
     counters = (("overruns", skipped),)
     slow = with_statuses(status(1, 1.0, tick_us=(tick_us,) * 20, counters=counters), status(2, 1.0))
     own = replace(PAIR, control=replace(PAIR.control, law="my:Law"))
-    expected = "Robot 1 skipped 9 ticks: one takes up to 19.0 ms, of 20 ms; the law my:Law may be too slow."
+    expected = "Robot 1 skipped 9 ticks: there one takes 19 ms, of 20 ms; the law my:Law may be too slow."
     assert (expected in judged(own, slow)["verdict"]["warnings"]) == named
     assert expected not in judged(PAIR, slow)["verdict"]["warnings"]
     assert (
         expected not in judged(own, with_statuses(status(1, 1.0, counters=counters)))["verdict"]["warnings"]
     )
+
+
+def test_a_law_that_becomes_slow_is_named_though_most_ticks_were_quick() -> None:
+    """Each slow one skips many: they are few."""
+    counters = (("overruns", 20),)
+    slow = with_statuses(status(1, 1.0, tick_us=(*[300] * 60, *[100_000] * 5), counters=counters))
+    own = replace(PAIR, control=replace(PAIR.control, law="my:Law"))
+    expected = "Robot 1 skipped 20 ticks: there one takes 100 ms, of 20 ms; the law my:Law may be too slow."
+    assert expected in judged(own, slow)["verdict"]["warnings"]
+    others = with_statuses(status(1, 1.0, tick_us=(*[300] * 60, 100_000), counters=counters))
+    assert expected not in judged(own, others)["verdict"]["warnings"], "most of the time something else ran"
 
 
 def test_an_agent_that_falls_silent_for_good_is_named() -> None:

@@ -176,3 +176,15 @@ def test_what_a_robot_costs_in_words() -> None:
     assert text.startswith("a robot takes some ")
     assert "routers" not in text
     assert ", routers " in describe_cost(fleet(100))
+
+
+def test_cores_that_robots_may_not_use_carry_none() -> None:
+    many = fleet(24)
+    pinned = replace(many, process=ProcessSection(realtime=True, cpus=(1,)))
+    one = Machine(2.0, 1.0, 1.0)
+    assert carried(pinned, one) < carried(pinned, LAPTOP)
+    assert carried(pinned, Machine(2.0, 1.0, 2.0)) == carried(pinned, LAPTOP)
+    enough = used(cost_of(many), LAPTOP) / FULL
+    tight = Machine(2.0, 1.05 * enough, 1.0)
+    assert not is_refused(many, tight._replace(for_robots=2.0))
+    assert "(2 cores, 1 of them in process.cpus)" in overload(pinned, tight)
