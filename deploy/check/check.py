@@ -20,6 +20,7 @@ from deploy.check.load.network import check_network
 from deploy.check.load.radio import check_radio
 from deploy.check.loop import check_gains, check_loop, check_lowest_rate, check_saturation
 from deploy.check.orders import check_orders
+from deploy.check.realtime import check_realtime
 from deploy.check.safety import check_safety
 from deploy.check.sending import check_sending
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
@@ -66,4 +67,5 @@ def check(fleet: Fleet) -> list[Finding]:
         findings += check_own_plants(fleet)
     findings += check_faults(fleet)
     findings += check_network(fleet)
+    findings += check_realtime(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])
