@@ -4,6 +4,7 @@
 #   CHECKED=1                    `make test` leaves out what `make check` runs
 #   SLOW=compiled                `make test` leaves slow simulations to `make test-compiled`, which does them in
 #                                half the time
+#   FORMS=both                   `make test-compiled` also runs quick tests of what is compiled
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
@@ -30,6 +31,8 @@ QUICK := not process and not slow and not autopilot and not compiled
 REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
 REST := $(REST)$(if $(filter compiled,$(SLOW)), and (patches or not slow))
 SLOW_COMPILED := slow and not patches and not process and not compiled and not autopilot
+QUICK_COMPILED := $(QUICK) and not patches
+OF_COMPILED := $(addprefix tests/,unit/agent unit/plant unit/bridges property simulation)
 # What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
 DRIVES := slip or in_run or mid_drive or supervision
@@ -61,6 +64,8 @@ test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same byte
 	@cp -RP tests docs Makefile requirements .ci $(COMPILED_BUILD)
 	@cd $(COMPILED_BUILD) && $(if $(filter compiled,$(SLOW)),'$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider \
 	  -m '$(SLOW_COMPILED)' $(call junit,compiled-computing),:)
+	@cd $(COMPILED_BUILD) && $(if $(filter both,$(FORMS)),'$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider \
+	  -m '$(QUICK_COMPILED)' $(OF_COMPILED) $(call junit,compiled-quick),:)
 	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider -k '$(DRIVES)' \
 	  $(addprefix tests/process/test_,$(ON_COMPILED)) $(call junit,compiled-processes)
 

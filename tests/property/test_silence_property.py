@@ -8,6 +8,7 @@ from random import Random
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -104,6 +105,7 @@ def has_way(robot: int, heard: dict[tuple[int, int], bool], ids: list[int], gone
     return bool(made._has_way(10**10, lost, []))
 
 
+@pytest.mark.patches
 @given(st.integers(2, 8), st.randoms(use_true_random=False), st.floats(0.0, 1.0))
 def test_two_who_do_not_hear_each_other_and_have_the_right_of_way_share_one_who_tells(
     count: int, draw: Any, share: float

@@ -26,6 +26,8 @@ from deploy.faults.process_actions import Action
 from deploy.simulate.simulation import Simulation
 from tests.process.small_fleets import triangle
 
+pytestmark = pytest.mark.patches
+
 ALL: Final = (1, 2, 3)
 AFTER_S: Final = 6.0
 """So long after the crash nobody has driven, or all do again."""

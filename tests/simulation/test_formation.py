@@ -291,6 +291,7 @@ def running_delta(*overrides: str) -> tuple[Simulation, HandTrace]:
     return simulation, kept
 
 
+@pytest.mark.patches
 def test_neighbours_of_a_frozen_agent_drive_on_without_it_and_take_it_back():
     simulation, kept = running_delta()
     agent = Freezable(agent_of(simulation, 1))  # its neighbours are 2 and 3
@@ -315,6 +316,7 @@ def test_neighbours_of_a_frozen_agent_drive_on_without_it_and_take_it_back():
     assert trace.distances().min() > 0.22
 
 
+@pytest.mark.patches
 def test_neighbours_of_a_frozen_agent_hold_where_the_fleet_file_says_so():
     simulation, _ = running_delta("supervision.silence=hold")
     agent = Freezable(agent_of(simulation, 1))
@@ -333,6 +335,7 @@ def test_neighbours_of_a_frozen_agent_hold_where_the_fleet_file_says_so():
     assert {agent.state for agent in simulation.agents} == {State.RUNNING}
 
 
+@pytest.mark.patches
 def test_frozen_plant_is_a_fault_of_its_agent_and_a_thaw_ends_it():
     simulation, _ = running_delta()
     plant = Freezable(plant_of(simulation, 4))

@@ -139,6 +139,7 @@ def routed_pair() -> Fleet:
     return resolved(load_fleet(FLEETS / "pair.toml", changes))
 
 
+@pytest.mark.patches
 def test_who_has_several_bodies_lets_nobody_have_a_second_of_one_of_them() -> None:
     fleet = routed_pair()
     held = server.held_ports(fleet, [1, 2])

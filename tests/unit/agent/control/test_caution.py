@@ -13,6 +13,8 @@ from agent.control.peers.peers import Peers
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
 
+pytestmark = pytest.mark.patches
+
 S = 1_000_000_000
 T0 = 1000 * S
 C1, C2, MOST = 0.4, 1.2, 1.0

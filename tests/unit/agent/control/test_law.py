@@ -59,7 +59,7 @@ def test_a_one_sided_multiplier_never_pulls() -> None:
 def test_navigation_is_cut_far_from_the_place_only() -> None:
     assert law.navigation_force(0.3, 2.0, -1.0, 0.4, 0.6) == pytest.approx(0.3 - 0.8 + 0.6)
     near, far = (0.3, 0.4), (30.0, 40.0)
-    assert law.acting_error(near, (0.0, 0.0), 0.4, 0.6, 1.0) is near
+    assert law.acting_error(near, (0.0, 0.0), 0.4, 0.6, 1.0) == near
     assert law.acting_error(far, (0.0, 0.0), 0.4, 0.6, 1.0) == pytest.approx((0.6 / 20 * 30, 0.6 / 20 * 40))
 
 

@@ -110,6 +110,7 @@ def test_who_says_seldom_where_it_is_is_near_where_it_may_have_stood():
         assert (scene.close == [3]) is close, (y, speed)
 
 
+@pytest.mark.patches
 def test_in_a_large_fleet_where_a_silent_robot_may_be_is_only_found_out_where_it_could_be_near(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -133,6 +134,7 @@ def test_in_a_large_fleet_where_a_silent_robot_may_be_is_only_found_out_where_it
     assert set(asked) == {3}
 
 
+@pytest.mark.patches
 def test_of_many_that_fall_silent_together_the_nearest_are_looked_for_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -205,6 +207,7 @@ def test_who_says_that_it_goes_elsewhere_is_looked_at_again_at_once() -> None:
     assert scene.look()
 
 
+@pytest.mark.patches
 def test_in_a_large_fleet_whoever_is_not_near_is_not_looked_at_in_every_look(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

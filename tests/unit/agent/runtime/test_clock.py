@@ -10,6 +10,8 @@ from agent.common.time import NS_PER_S
 from agent.runtime import clock
 from agent.runtime.clock import RealClock
 
+pytestmark = pytest.mark.patches
+
 EPOCH = 1_700_000_000 * NS_PER_S
 MS = 1_000_000
 

@@ -20,6 +20,8 @@ from agent.transport.bus import Bus
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 
+pytestmark = pytest.mark.patches
+
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 2, y_m = 0 }]
 fleet = { name = "two", rate_hz = 50 }

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import cast
 
 import msgpack
+import pytest
 
 from agent.messages.codec import VERSION, encode
 from agent.messages.types import Stop
@@ -15,6 +16,8 @@ from agent.runtime.loop import OrderKeeper
 from agent.runtime.order_store import OrderStore, packed
 from agent.transport.bus import Bus
 from tests.wire import sealed
+
+pytestmark = pytest.mark.patches
 
 
 class Recalling:

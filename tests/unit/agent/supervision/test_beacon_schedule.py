@@ -113,6 +113,7 @@ def test_that_it_has_an_order_is_no_news_nor_that_it_stands_by_it() -> None:
             assert 5.0 < at <= 6.4, "when it would have spoken anyway"
 
 
+@pytest.mark.patches
 def test_who_lacks_an_order_says_so_soon_and_once_more() -> None:
     for marks in ((4, 0, -1, -1), (3, 9, -1, -1), (3, 7, 5, -1), (3, 7, -1, 6), (2, 9, 5, -1)):
         bench = quiet(loses=False)
@@ -199,6 +200,7 @@ def test_a_turn_that_was_slept_through_is_made_up_for() -> None:
     assert said + bench.run(0.1) == [1.1 + 0.0]
 
 
+@pytest.mark.patches
 def test_while_nothing_is_new_it_is_said_ever_more_seldom() -> None:
     bench = Bench()
     assert bench.schedule.is_seldom
@@ -212,11 +214,13 @@ def quiet(*, loses: bool = True) -> Bench:
     return bench
 
 
+@pytest.mark.patches
 def test_where_links_lose_nothing_what_is_new_is_said_once_more_and_then_as_seldom_as_ever() -> None:
     bench = quiet(loses=False)
     assert bench.run(4.0, follows=False) == [5.0, 5.2, 6.8, 8.4]
 
 
+@pytest.mark.patches
 def test_where_links_lose_nothing_a_place_is_told_again_after_a_second() -> None:
     """A fleet that sets out at once tells everybody of everybody; where it goes on to then is in that."""
     bench = quiet(loses=False)
@@ -259,6 +263,7 @@ def test_one_that_is_held_up_tells_the_velocity_that_it_has_until_the_law_is_rig
     assert len(bench.said) - since < 10.0 / 1.6 + 4
 
 
+@pytest.mark.patches
 def test_what_is_new_is_said_at_the_next_turn_and_again() -> None:
     row = Silent(4, T0, True, 1.0, 2.0, 0.0, 0.0, 1.0, 2.0, 0.0)
     for fields in (
@@ -272,6 +277,7 @@ def test_what_is_new_is_said_at_the_next_turn_and_again() -> None:
         assert bench.said[-4][1].next_ms == 0
 
 
+@pytest.mark.patches
 def test_who_moves_as_it_said_has_nothing_new_to_say() -> None:
     bench = Bench()
     for _ in range(40):
@@ -328,6 +334,7 @@ def test_who_is_heard_here_and_not_elsewhere_is_told_of_at_least_every_second() 
     assert len(times) < 15
 
 
+@pytest.mark.patches
 def test_who_does_not_hear_it_hears_it_soon() -> None:
     bench = quiet()
     bench.schedule.heard(beacon(T0, robot=5, unheard=(2,)), MARKS)

@@ -21,6 +21,8 @@ from agent.supervision.stop_latch import AWAITED
 from deploy.console.data_files import FLEETS
 from deploy.orders.mission_editing import first_mission
 
+pytestmark = pytest.mark.patches
+
 NOW = 1_700_000_000 * NS_PER_S
 
 

@@ -22,6 +22,7 @@ def delta(*sets: str) -> Fleet:
     return load_fleet(fleet_path("delta"), sets)
 
 
+@pytest.mark.patches
 @pytest.mark.parametrize(("listen", "wanted"), [(["tcp/127.0.0.1:7600"], 0.25), ([], LINK_TIMEOUT_S)])
 def test_robots_have_that_of_their_fleet_and_operators_have_time(
     monkeypatch: pytest.MonkeyPatch, listen: list[str], wanted: float
@@ -39,6 +40,7 @@ def test_zenoh_itself_gives_an_attempt_up_late_but_for_a_client_that_finds_no_ro
     assert client["connect/timeout_ms"] == 250
 
 
+@pytest.mark.patches
 def test_a_peer_that_does_not_answer_is_dialled_again() -> None:
     """Else the first packet that gets through to it would be of an attempt seconds later."""
     with socket.create_server(("127.0.0.1", 0)) as silent:
@@ -58,6 +60,7 @@ def test_a_peer_that_does_not_answer_is_dialled_again() -> None:
     assert dialled[1] - dialled[0] < LINK_TIMEOUT_S
 
 
+@pytest.mark.patches
 def test_the_second_router_is_tried_though_the_first_does_not_answer() -> None:
     """Zenoh itself would try the first again and again."""
     with socket.create_server(("127.0.0.1", 0)) as silent, socket.create_server(("127.0.0.1", 0)) as found:
@@ -76,6 +79,7 @@ def test_no_router_of_several_is_an_error_at_once() -> None:
     assert settings_of("client", [], ["tcp/a:1", "tcp/b:1"], None, 0.25)["connect/timeout_ms"] == 0
 
 
+@pytest.mark.patches
 def test_a_session_is_closed_though_a_peer_does_not_answer() -> None:
     """Zenoh waits for what it has begun to open: ten seconds."""
     with socket.create_server(("127.0.0.1", 0)) as silent:
@@ -95,6 +99,7 @@ def test_a_bus_that_is_left_closes_nothing() -> None:
     session.close()
 
 
+@pytest.mark.patches
 def test_a_link_that_is_opened_anew_is_heard_over_again() -> None:
     with socket.create_server(("127.0.0.1", 0)) as found:
         endpoint = f"tcp/127.0.0.1:{found.getsockname()[1]}"
@@ -162,6 +167,7 @@ def test_who_is_not_wanted_any_more_waits_for_no_router() -> None:
     assert not bus.is_opening()
 
 
+@pytest.mark.patches
 @pytest.mark.parametrize("interrupted", [False, True])
 def test_a_session_that_opens_when_nobody_wants_it_any_more_is_closed(
     monkeypatch: pytest.MonkeyPatch, interrupted: bool

@@ -109,6 +109,7 @@ def test_a_socket_stays_as_it_was(listens: socket.socket) -> None:
         assert not os.get_blocking(listens.fileno()), "one that blocks would hold up Zenoh's only thread"
 
 
+@pytest.mark.patches
 def test_it_keeps_no_descriptors_but_of_what_listens(listens: socket.socket) -> None:
     own = [os.open("/dev/null", os.O_RDONLY) for _ in range(PLENTY)]
     before = len(os.listdir("/proc/self/fd"))

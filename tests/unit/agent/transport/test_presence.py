@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from agent.transport.presence import KEPT, Watches
+
+pytestmark = pytest.mark.patches
 
 
 class Presences:

@@ -21,6 +21,8 @@ from agent.transport.sealed_bus import SealedBus
 from tests.process.guarded import guarded_fleet
 from tests.trusted import FLEET, authority, credentials
 
+pytestmark = pytest.mark.patches
+
 LINE = (
     b"DEBUG ThreadId(02) zenoh::net::runtime::orchestrator: Unable to connect to configured router "
     b"tls/10.0.0.9:7447! invalid peer certificate: not valid for name\n"

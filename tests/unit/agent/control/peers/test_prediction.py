@@ -167,6 +167,7 @@ def test_strong_damping_does_not_overflow(c1: float, c2: float, age: float):
 # ---------------------------------------------------------------------- a robot that follows
 
 
+@pytest.mark.patches
 @pytest.mark.parametrize("decay", [0.0, DECAY])
 @pytest.mark.parametrize("age", [0.0, 0.01, 0.06, 0.5, 2.0])
 def test_prediction_is_the_navigation_loop_solved(age: float, decay: float):
@@ -196,6 +197,7 @@ def test_near_its_place_a_speed_limit_changes_nothing():
     assert values(near) == values(free)
 
 
+@pytest.mark.patches
 @pytest.mark.parametrize("age", [0.02, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize("away", [5.0, 10.0, 40.0])
 def test_a_robot_far_behind_on_a_straight_way_is_predicted_exactly(away: float, age: float):
@@ -207,6 +209,7 @@ def test_a_robot_far_behind_on_a_straight_way_is_predicted_exactly(away: float, 
     assert gap(predicted(said, straight, age, DECAY, None), expected) > 0.4 * age * age * (0.4 * away - 1.0)
 
 
+@pytest.mark.patches
 @pytest.mark.parametrize("age", [0.02, 0.2, 0.5, 1.0])
 def test_one_that_is_pulled_firmly_is_predicted_so(age: float):
     """Far out it is as firm as the loop carries all the while (N2)."""
@@ -218,6 +221,7 @@ def test_one_that_is_pulled_firmly_is_predicted_so(age: float):
     assert got.velocity[0] > softly.velocity[0] + 0.3 * min(age, 0.5)
 
 
+@pytest.mark.patches
 @settings(max_examples=60)
 @given(
     away=st.floats(4.0, 30.0),
@@ -244,6 +248,7 @@ def test_a_robot_far_from_its_place_is_predicted_to_a_small_error(
     assert got.constraint == pytest.approx(expected.constraint)
 
 
+@pytest.mark.patches
 @pytest.mark.parametrize("decay", [0.0, 1e-12, C2, C2 + 1e-9, C2 - 1e-7, 3.0])
 def test_any_decay_of_a_far_robots_constraint_force_is_solved(decay: float):
     """At 0 and at c2 the integrals have limits of their own."""
