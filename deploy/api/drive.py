@@ -15,7 +15,6 @@ from typing import IO, Final, Unpack
 import msgpack
 
 from agent.common.errors import Error, packages_named
-from agent.messages.codec import decode
 from deploy.api.changes import in_words_of_python, own_classes
 from deploy.api.fleet import Changes, Source, load, names_known, refuse_errors, refuse_overload
 from deploy.api.given import a_path, flags
@@ -85,7 +84,7 @@ def simulate(
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:
         spool.append(received_ns, key, payload)
-        data.feed(received_ns, key, decode(payload))
+        data.feed(received_ns, key, simulation.decode(payload))
 
     def so_far(time_s: float) -> bool:
         tell(min(max(time_s / settings.fleet.duration_s, 0.0), 1.0))

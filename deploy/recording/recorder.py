@@ -21,6 +21,7 @@ import tomli_w
 from agent.common.errors import Error
 from agent.fleet.loading import law_name, to_dict
 from agent.fleet.model import Fleet
+from agent.links.ingress import Decode
 from agent.messages.codec import decode
 from agent.messages.types import CLASSES, Message
 from agent.messages.validation import Malformed
@@ -125,14 +126,15 @@ class Recorder:
             if error is None:  # never hide the error that ended the run
                 raise
 
-    def record(self, received_ns: int, key: str, payload: bytes) -> Message | None:
+    def record(self, received_ns: int, key: str, payload: bytes, read: Decode = decode) -> Message | None:
         """Write one payload as it came from the bus.
 
-        received_ns: wall clock (or virtual time) of its reception. Returns the decoded message,
-        None for a payload that is not one: it is kept as raw bytes and counted.
+        received_ns: wall clock (or virtual time) of its reception. read: as `decode`, of who has read it
+        already. Returns the decoded message, None for a payload that is not one: it is kept as raw bytes and
+        counted.
         """
         try:
-            message = decode(payload)
+            message = read(payload)
         except Malformed as problem:
             self.rejected[problem.reason] += 1
             self._write(received_ns, key, None, payload, received_ns, 0)

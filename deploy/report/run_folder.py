@@ -11,6 +11,8 @@ import tomli_w
 from agent.common.errors import Error
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
+from agent.links.ingress import Decode
+from agent.messages.codec import decode
 from agent.messages.types import Message
 from deploy.console.interrupt import Interrupt
 from deploy.recording.collector import RunData
@@ -63,9 +65,13 @@ class RunFolder:
         folder.mkdir(exist_ok=True)
         return folder / name
 
-    def record(self, received_ns: int, key: str, payload: bytes) -> Message | None:
-        """Records one message as it came; returns it, or None when it is not a valid one."""
-        message = self._recorder.record(received_ns, key, payload)
+    def record(self, received_ns: int, key: str, payload: bytes, read: Decode = decode) -> Message | None:
+        """Records one message as it came; returns it, or None when it is not a valid one.
+
+        Args:
+            read: as `decode`, of who has read it already.
+        """
+        message = self._recorder.record(received_ns, key, payload, read)
         if message is not None:
             self._data.feed(received_ns, key, message)
         return message

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
-from agent.messages.codec import decode
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
 from deploy.simulate.simulation import Simulation
@@ -38,7 +37,7 @@ def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:
         if key in wanted:
-            data.feed(received_ns, key, decode(payload))
+            data.feed(received_ns, key, simulation.decode(payload))
 
     def progress(_: float) -> bool:
         if not go_on():

@@ -24,6 +24,7 @@ from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
 from agent.formation.geometry import resolve
 from agent.links.fault_plan import FaultPlan
+from agent.links.ingress import Decode
 from agent.links.ticks import Ticks, next_tick_ns
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
@@ -53,7 +54,9 @@ AGAIN_NS: Final = NS_PER_S // 2
 STOP_TIMEOUT_NS: Final = 3 * NS_PER_S
 PROGRESS_PERIOD_NS: Final = NS_PER_S // 4
 READ_ROUNDS: Final = 8
-"""So many messages of each robot are known that have been read: those on their way, and that of the plant."""
+READ_MIN: Final = 3000
+"""So many messages of each robot are known that have been read: those on their way, and that of the plant.
+And so many at least, for whoever takes them from the `sink` a while later (`Simulation.decode`)."""
 
 Sink = Callable[[int, str, bytes], None]
 Progress = Callable[[float], bool]
@@ -258,6 +261,7 @@ class Simulation:
         epoch_ns: the mission's epoch; before the mission is sent, the earliest that it can have.
         reasons: what went wrong in the operator's eyes, as sentences for the verdict.
         attended: whether the operator is there: its heartbeats come, where the fleet needs them.
+        decode: as `agent.messages.codec.decode`, but each message is read once for all that ask for it.
 
     Raises:
         agent.fleet.model.FleetError: the formation cannot be resolved.
@@ -282,8 +286,8 @@ class Simulation:
         } | self._operator.relay_keys
         self._bodies = Bodies(fleet)
         # Messages do not change, and all that hear one are here: the first reads it for the others.
-        self._read = lru_cache(maxsize=READ_ROUNDS * len(fleet.ids))(decode)
-        self.agents = [Agent(fleet, robot, self._read) for robot in fleet.ids]
+        self.decode: Final[Decode] = lru_cache(maxsize=max(READ_ROUNDS * len(fleet.ids), READ_MIN))(decode)
+        self.agents = [Agent(fleet, robot, self.decode) for robot in fleet.ids]
         self.plants = [self._plant(robot) for robot in fleet.ids]
         nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]
         nodes += [("agent", node.robot, node) for node in self.agents]
@@ -394,7 +398,7 @@ class Simulation:
         """A new node in the place of one that is gone."""
         index = self.fleet.ids.index(robot)
         if role == "agent":
-            self.agents[index] = Agent(self.fleet, robot, self._read)
+            self.agents[index] = Agent(self.fleet, robot, self.decode)
             return self.agents[index]
         self.plants[index] = self._plant(robot)
         return self.plants[index]

@@ -47,7 +47,7 @@ def _simulate(options: argparse.Namespace) -> int:
             came = waiting.copy()
             waiting.clear()
             for received_ns, key, payload in came:
-                message = folder.record(received_ns, key, payload)
+                message = folder.record(received_ns, key, payload, simulation.decode)
                 if message is not None:
                     watch.feed(key, message)
 

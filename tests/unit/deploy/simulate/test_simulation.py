@@ -34,3 +34,13 @@ def test_it_begins_when_it_is_told_and_drives_the_same_way() -> None:
     assert late_ns <= late[0] < late_ns + 2 * NS_PER_S
     assert early[0] < 2 * NS_PER_S
     assert [each for each in early[1] if each[0] >= 0] == [each for each in late[1] if each[0] >= 0]
+
+
+def test_a_message_is_read_once_for_its_robots_and_whoever_takes_it_from_the_sink() -> None:
+    came: list[bytes] = []
+    simulation = Simulation(PAIR, lambda _, key, payload: came.append(payload))
+    simulation.run()
+    latest = [payload for payload in came if type(decode(payload)) is PlantState][-4:]
+    heard = {id(agent._situation.plant) for agent in simulation.agents}
+    assert heard <= {id(simulation.decode(each)) for each in latest}
+    assert [simulation.decode(each) for each in latest] == [decode(each) for each in latest]
