@@ -153,7 +153,10 @@ class Peer:
         """Its position uncertainty, m: as it says itself, and by the age of that."""
         message = self.message
         said = self.off_m
-        if message is not None:
+        if message is not None and message.doubt:  # nearly all know where they are
             said += own_doubt(message.doubt, rolls=self.rolls_on and not message.following)
         age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
-        return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
+        if age_s <= 0.0:
+            return said
+        more = DOUBT_RATE * age_s
+        return said + (more if more < DOUBT_MAX else DOUBT_MAX)
