@@ -65,7 +65,7 @@ class Proximity:
         self.fence: Final[Boundary | None] = fence_of(fleet)
         self.warn: Final = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
         self.close: tuple[Peer, ...] = ()
-        self.distance = self.sensing = 0.0
+        self.distance = self.sensing = self._staying = 0.0
         self._keep = self._safe + fleet.avoidance.margin_m
         self._until_seen_s = AHEAD_S + 1.0 / barrier_rate(fleet)  # then the filter begins to brake
         self._soon = self._keep + self._until_seen_s * speed_max(fleet)
@@ -81,6 +81,7 @@ class Proximity:
             self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
         )
         self.sensing = sensing_distance(self._fleet, self.distance)
+        self._staying = self.sensing + STAY_M
         for peer in self._peers.known:
             peer.far_until_ns = 0
 
@@ -96,9 +97,12 @@ class Proximity:
         for peer in [peer for peer in self._peers.known if peer.far_until_ns <= now_ns]:
             if peer.robot in neighbours:
                 continue
-            if self.is_large and not (peer.is_heard(now_ns) or self._peers.whereabouts.is_worked_out(peer)):
+            if peer.is_heard(now_ns):
+                if self._is_near(peer, now_ns, here):
+                    near.append(peer)
+            elif self.is_large and not self._peers.whereabouts.is_worked_out(peer):
                 silent.append(peer)
-            elif self._is_near(peer, now_ns, here):
+            elif self._is_silent_near(peer, now_ns, here):
                 near.append(peer)
         if silent:
             near += self._near_of(silent, now_ns, here, 0 if rests else SILENT_PER_LOOK)
@@ -122,14 +126,13 @@ class Proximity:
 
         silent.sort(key=away)
         near = [peer for peer in silent[most:] if peer in self.close]
-        return near + [peer for peer in silent[:most] if self._is_near(peer, now_ns, here)]
+        return near + [peer for peer in silent[:most] if self._is_silent_near(peer, now_ns, here)]
 
     def _is_near(self, peer: Peer, now_ns: int, here: Hand) -> bool:
-        """Whether a robot is within the sensing region, or will be at the next look; wherever it may be. One
-        that is far away rests: it is not asked for again before it could be."""
+        """Whether a robot that is heard is within the sensing region, or will be at the next look; wherever
+        it may be. One that is far away rests: it is not asked for again before it could be."""
         message = peer.message
-        if message is None or not peer.is_heard(now_ns):
-            return self._is_silent_near(peer, now_ns, here)
+        assert message is not None
         vx, vy = message.vx, message.vy
         age_ns = now_ns + peer.clock.used_ns - peer.time_ns
         ahead_s = age_ns / NS_PER_S if message.following and age_ns > 0 else 0.0
@@ -147,7 +150,7 @@ class Proximity:
                     nearest = stood
             elif hypot(message.x - here.x, message.y - here.y) < self.sensing:
                 return True  # silent a little longer, it may have stood there: beacons alone would not do
-        reach = self._reach(peer, peer.doubt(now_ns))
+        reach = peer.doubt(now_ns) + (self._staying if peer in self.close else self.sensing)
         room = nearest - reach
         rest_s = room / self._closing - AHEAD_S
         if rest_s < AHEAD_S:  # else it rests for longer than what it says it will do could let it
@@ -183,7 +186,7 @@ class Proximity:
             return False
         dx, dy = belief.x - here.x, belief.y - here.y
         away = hypot(dx, dy)
-        reach = self._reach(peer, belief.reach)
+        reach = belief.reach + (self._staying if peer in self.close else self.sensing)
         room = away - reach
         as_said_s = min(AHEAD_S, (room - self._closing * AHEAD_S) / (self._closing + self._turning))
         rest_s = max(room / self._closing - AHEAD_S, as_said_s)
@@ -192,10 +195,6 @@ class Proximity:
             return False
         parting = (dx * (0.0 - here.vx) + dy * (0.0 - here.vy)) / max(away, DISTANCE_MIN)
         return self._is_within(peer, now_ns, away, parting, reach)
-
-    def _reach(self, peer: Peer, doubt: float) -> float:
-        """How near a robot is close whose place is so uncertain, m."""
-        return doubt + (self.sensing + (STAY_M if peer in self.close else 0.0))
 
     def _rest(self, peer: Peer, now_ns: int, rest_s: float) -> None:
         """Has a robot rest for so long at most."""

@@ -11,37 +11,32 @@ from heapq import heappop, heappush
 from typing import Final
 
 from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import Peer
-
-_SINCE_EVER: Final = -(1 << 62)
-
+from agent.control.peers.peer import SINCE_EVER, Peer
 
 class Overdue:
     """The robots that may be silent, of all that something is known of.
 
     Args:
-        known: these by their ids; it may grow, by such as are noted.
+        known: these by their ids; it may grow, by such as are added.
         within_ns: whoever is late by less is in time; `UNSURE_NS` at most.
     """
 
     def __init__(self, known: Mapping[int, Peer], within_ns: int = UNSURE_NS) -> None:
         self._known = known
         self._within_ns: Final = min(within_ns, UNSURE_NS)
-        self._from_ns: dict[int, int] = {}
-        """By robot that was in time: from when on it may not be, own clock, or sooner than that."""
         self._queue: list[tuple[int, int]] = []
-        """The same as (time ns, robot), the next one first; what is not in `_from_ns` does not count."""
+        """(`Peer.overdue_ns`, robot), the next one first; others of a robot do not count."""
         self._late = set(known)
+
+    def add(self, peer: Peer) -> None:
+        """From now on something is known of a robot."""
+        self._late.add(peer.robot)
 
     def note(self, peer: Peer) -> None:
         """Something has come of a robot, or of its presence, that may have it be silent sooner."""
-        robot = peer.robot
-        if robot in self._late:
-            return
-        before_ns = self._from_ns.get(robot)
         from_ns = self._overdue_from_ns(peer)
-        if before_ns is None or from_ns < before_ns:
-            self._await(robot, from_ns)
+        if from_ns < peer.overdue_ns:
+            self._await(peer, from_ns)
 
     def at(self, now_ns: int) -> list[Peer]:
         """Those that may be silent, in the order in which they came to be known: with no connection, never
@@ -50,28 +45,30 @@ class Overdue:
         known, queue, late = self._known, self._queue, self._late
         if late:
             for robot in tuple(late):
-                from_ns = self._overdue_from_ns(known[robot])
+                peer = known[robot]
+                from_ns = self._overdue_from_ns(peer)
                 if from_ns > now_ns:
                     late.remove(robot)
-                    self._await(robot, from_ns)
+                    self._await(peer, from_ns)
         while queue and queue[0][0] <= now_ns:
             before_ns, robot = heappop(queue)
-            if self._from_ns.get(robot) != before_ns:
+            peer = known[robot]
+            if robot in late or peer.overdue_ns != before_ns:
                 continue
-            from_ns = self._overdue_from_ns(known[robot])
+            from_ns = self._overdue_from_ns(peer)
             if from_ns > now_ns:
-                self._await(robot, from_ns)
+                self._await(peer, from_ns)
             else:
-                del self._from_ns[robot]
+                peer.overdue_ns = SINCE_EVER
                 late.add(robot)
         return [peer for robot, peer in known.items() if robot in late] if late else []
 
-    def _await(self, robot: int, from_ns: int) -> None:
-        self._from_ns[robot] = from_ns
-        heappush(self._queue, (from_ns, robot))
+    def _await(self, peer: Peer, from_ns: int) -> None:
+        peer.overdue_ns = from_ns
+        heappush(self._queue, (from_ns, peer.robot))
 
     def _overdue_from_ns(self, peer: Peer) -> int:
         """From when on a robot may be silent, by the own clock, if nothing more comes of it."""
         if peer.deaf or not peer.here or peer.message is None:
-            return _SINCE_EVER
+            return SINCE_EVER
         return peer.direct_ns - peer.clock.used_ns + peer.lateness.forgiven_ns + self._within_ns

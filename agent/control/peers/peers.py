@@ -141,7 +141,7 @@ class Peers:
         peer = self._known.get(robot)
         if peer is None:
             peer = self._known[robot] = self._peer(robot)
-            self._overdue.note(peer)
+            self._overdue.add(peer)
         return peer
 
     def _peer(self, robot: int) -> Peer:
