@@ -177,7 +177,7 @@ class Outbox:
 
     def heard(self, beacon: Beacon) -> None:
         """Takes another's beacon, for what it shows of this robot's."""
-        if self._schedule.is_seldom:
+        if self._schedule.is_seldom and self._schedule.is_news(beacon):
             self._schedule.heard(beacon, (*self._missions.mark, *self._latch.mark))
 
     def _beacon(

@@ -13,6 +13,7 @@ from typing import Final
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peer import SINCE_EVER, Peer
 
+
 class Overdue:
     """The robots that may be silent, of all that something is known of.
 

@@ -54,8 +54,8 @@ class Peer:
         other_version: what its messages and this program speak, once one was refused for that; else "".
         received, lost, delayed, duplicated: hand states since the start.
         off_m: how far it may be meanwhile from where it is predicted, m, (E1).
-        overdue_ns: it is not silent before then, as who looks for that has found (own clock); `SINCE_EVER` for
-            one that may be now.
+        overdue_ns: it is not silent before then, as who looks for that has found, by the own clock;
+            `SINCE_EVER` for one that may be now.
         far_until_ns: it cannot come near before then, as who looks for that has found; 0 once it is
             somewhere else than on its way.
     """
