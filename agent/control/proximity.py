@@ -157,9 +157,12 @@ class Proximity:
             speed = hypot(vx - here.vx, vy - here.vy)
             if self._peers.is_seldom(peer):  # it may come to a stand anywhere
                 speed = max(speed, hypot(vx, vy), hypot(here.vx, here.vy))
-            lasts_s = (UNSURE_NS + peer.lateness.forgiven_ns - age_ns) / NS_PER_S  # then it may be anywhere
-            as_said_s = min(AHEAD_S, lasts_s, (room - speed * AHEAD_S) / (speed + self._turning))
-            rest_s = max(rest_s, as_said_s)
+            as_said_s = (room - speed * AHEAD_S) / (speed + self._turning)
+            if as_said_s > rest_s:
+                lasts_s = (
+                    UNSURE_NS + peer.lateness.forgiven_ns - age_ns
+                ) / NS_PER_S  # then it may be anywhere
+                rest_s = max(rest_s, min(AHEAD_S, lasts_s, as_said_s))
         if rest_s > 0.0:
             self._rest(peer, now_ns, rest_s)
             return False
