@@ -34,7 +34,9 @@ class Overdue:
         self._late.add(peer.robot)
 
     def note(self, peer: Peer) -> None:
-        """Something has come of a robot, or of its presence, that may have it be silent sooner."""
+        """Something has come of a robot, or of its presence, that may have it be silent sooner: less is
+        forgiven it than before, its clock is found to be further ahead, it does not hear this robot, or there
+        is no connection to it."""
         from_ns = self._overdue_from_ns(peer)
         if from_ns < peer.overdue_ns:
             self._await(peer, from_ns)

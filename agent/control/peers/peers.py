@@ -205,7 +205,7 @@ class Peers:
         peer = self.get(message.robot)
         time_ns = message.time_ns
         clock = peer.clock
-        used_ns = clock.used_ns
+        used_ns, forgiven_ns = clock.used_ns, peer.lateness.forgiven_ns
         if self._from_future(peer, time_ns, now_ns):
             return "future"
         if time_ns <= peer.hand_ns:
@@ -231,7 +231,8 @@ class Peers:
                 peer.early = None
                 self._take(peer, waits, now_ns)
             self._take(peer, message, now_ns)
-        self._overdue.note(peer)
+        if peer.lateness.forgiven_ns != forgiven_ns or clock.used_ns != used_ns:
+            self._overdue.note(peer)
         return None
 
     def accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
@@ -245,7 +246,7 @@ class Peers:
             return "future"
         if beacon.silent:
             self._accept_silent(peer, beacon, now_ns)
-        time_ns = beacon.time_ns
+        time_ns, forgiven_ns = beacon.time_ns, peer.lateness.forgiven_ns
         if time_ns > peer.beacon_ns:
             peer.beacon_ns = time_ns
             peer.mark = beacon.mission_version, beacon.mission_tag
@@ -259,7 +260,8 @@ class Peers:
                 self._take_beacon(peer, beacon, now_ns)
             else:
                 self._early_beacons.append((peer, beacon))
-        self._overdue.note(peer)
+        if peer.deaf or peer.lateness.forgiven_ns != forgiven_ns:
+            self._overdue.note(peer)
         return None
 
     def _accept_silent(self, sender: Peer, beacon: Beacon, now_ns: int) -> None:
