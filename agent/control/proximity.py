@@ -159,9 +159,8 @@ class Proximity:
                 speed = max(speed, hypot(vx, vy), hypot(here.vx, here.vy))
             as_said_s = (room - speed * AHEAD_S) / (speed + self._turning)
             if as_said_s > rest_s:
-                lasts_s = (
-                    UNSURE_NS + peer.lateness.forgiven_ns - age_ns
-                ) / NS_PER_S  # then it may be anywhere
+                # After so long it may be anywhere.
+                lasts_s = (UNSURE_NS + peer.lateness.forgiven_ns - age_ns) / NS_PER_S
                 rest_s = max(rest_s, min(AHEAD_S, lasts_s, as_said_s))
         if rest_s > 0.0:
             self._rest(peer, now_ns, rest_s)
