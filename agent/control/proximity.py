@@ -65,7 +65,7 @@ class Proximity:
         self.fence: Final[Boundary | None] = fence_of(fleet)
         self.warn: Final = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
         self.close: tuple[Peer, ...] = ()
-        self.distance = self.sensing = 0.0
+        self.distance = self.sensing = self._staying = 0.0
         self._keep = self._safe + fleet.avoidance.margin_m
         self._until_seen_s = AHEAD_S + 1.0 / barrier_rate(fleet)  # then the filter begins to brake
         self._soon = self._keep + self._until_seen_s * speed_max(fleet)
@@ -81,6 +81,7 @@ class Proximity:
             self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
         )
         self.sensing = sensing_distance(self._fleet, self.distance)
+        self._staying = self.sensing + STAY_M
         for peer in self._peers.known:
             peer.far_until_ns = 0
 
@@ -92,13 +93,16 @@ class Proximity:
             rests: it does not drive for a while, and need not know yet where silent ones may be.
         """
         near, silent = [], []
-        for peer in self._peers.known:
-            # Most of a large fleet is too far away to come near until a while from now.
-            if peer.far_until_ns > now_ns or peer.robot in neighbours:
+        # Most of a large fleet is too far away to come near until a while from now.
+        for peer in [peer for peer in self._peers.known if peer.far_until_ns <= now_ns]:
+            if peer.robot in neighbours:
                 continue
-            if self.is_large and not (peer.is_heard(now_ns) or self._peers.whereabouts.is_worked_out(peer)):
+            if peer.is_heard(now_ns):
+                if self._is_near(peer, now_ns, here):
+                    near.append(peer)
+            elif self.is_large and not self._peers.whereabouts.is_worked_out(peer):
                 silent.append(peer)
-            elif self._is_near(peer, now_ns, here):
+            elif self._is_silent_near(peer, now_ns, here):
                 near.append(peer)
         if silent:
             near += self._near_of(silent, now_ns, here, 0 if rests else SILENT_PER_LOOK)
@@ -122,60 +126,89 @@ class Proximity:
 
         silent.sort(key=away)
         near = [peer for peer in silent[most:] if peer in self.close]
-        return near + [peer for peer in silent[:most] if self._is_near(peer, now_ns, here)]
+        return near + [peer for peer in silent[:most] if self._is_silent_near(peer, now_ns, here)]
 
     def _is_near(self, peer: Peer, now_ns: int, here: Hand) -> bool:
-        """Whether a robot is within the sensing region, or will be at the next look; wherever it may be. One
-        that is far away rests: it is not asked for again before it could be."""
+        """Whether a robot that is heard is within the sensing region, or will be at the next look; wherever
+        it may be. One that is far away rests: it is not asked for again before it could be."""
         message = peer.message
-        stood = lasts_s = inf
-        if message is not None and peer.is_heard(now_ns):
-            age_ns = now_ns + peer.clock.used_ns - peer.time_ns
-            lasts_s = (UNSURE_NS + peer.lateness.forgiven_ns - age_ns) / NS_PER_S  # then it may be anywhere
-            ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
-            dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
-            vx, vy, reach = message.vx, message.vy, peer.doubt(now_ns)
-            speed = hypot(vx - here.vx, vy - here.vy)
-            seldom = self._peers.is_seldom(peer)
-            if seldom:  # it may come to a stand anywhere
-                speed = max(speed, hypot(vx, vy), hypot(here.vx, here.vy))
-            if age_ns > UNSURE_NS:
-                if seldom:
-                    stood = hypot(dx, dy) - ahead_s * hypot(vx, vy)
-                    if stood < self._soon:
-                        way = Stretch(message.x, message.y, ahead_s * vx, ahead_s * vy, 0.0, 0.0)
-                        stood = way.distance(here.x, here.y)
-                elif hypot(message.x - here.x, message.y - here.y) < self.sensing:
-                    return True  # silent a little longer, it may have stood there: beacons alone would not do
-        else:
-            if message is not None and self.is_large:
-                # Where it may be takes a while to find out, and of most it is enough how far it can be.
-                age_s = max(0.0, (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S)
-                away = hypot(message.x - here.x, message.y - here.y) - peer.doubt(now_ns)
-                rest_s = (away - self.sensing - STAY_M) / self._closing - 0.5 * age_s - AHEAD_S
-                if rest_s > 0.0:
-                    peer.far_until_ns = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
-                    return False
-            belief = self._peers.whereabouts.belief(peer)
-            if belief is None:
-                return False
-            dx, dy, reach = belief.x - here.x, belief.y - here.y, belief.reach
-            vx = vy = 0.0
-            speed = self._closing
+        assert message is not None
+        vx, vy = message.vx, message.vy
+        age_ns = now_ns + peer.clock.used_ns - peer.time_ns
+        ahead_s = age_ns / NS_PER_S if message.following and age_ns > 0 else 0.0
+        dx, dy = message.x + ahead_s * vx - here.x, message.y + ahead_s * vy - here.y
         away = hypot(dx, dy)
-        parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
-        reach += self.sensing + (STAY_M if peer in self.close else 0.0)
-        room = min(away, stood) - reach
-        as_said_s = min(AHEAD_S, lasts_s, (room - speed * AHEAD_S) / (speed + self._turning))
-        rest_s = max(room / self._closing - AHEAD_S, as_said_s)
+        nearest = away
+        stood = inf
+        if age_ns > UNSURE_NS:
+            if self._peers.is_seldom(peer):
+                stood = away - ahead_s * hypot(vx, vy)
+                if stood < self._soon:
+                    way = Stretch(message.x, message.y, ahead_s * vx, ahead_s * vy, 0.0, 0.0)
+                    stood = way.distance(here.x, here.y)
+                if stood < away:
+                    nearest = stood
+            elif hypot(message.x - here.x, message.y - here.y) < self.sensing:
+                return True  # silent a little longer, it may have stood there: beacons alone would not do
+        reach = peer.doubt(now_ns) + (self._staying if peer in self.close else self.sensing)
+        room = nearest - reach
+        rest_s = room / self._closing - AHEAD_S
+        if rest_s < AHEAD_S:  # else it rests for longer than what it says it will do could let it
+            speed = hypot(vx - here.vx, vy - here.vy)
+            if self._peers.is_seldom(peer):  # it may come to a stand anywhere
+                speed = max(speed, hypot(vx, vy), hypot(here.vx, here.vy))
+            as_said_s = (room - speed * AHEAD_S) / (speed + self._turning)
+            if as_said_s > rest_s:
+                # After so long it may be anywhere.
+                lasts_s = (UNSURE_NS + peer.lateness.forgiven_ns - age_ns) / NS_PER_S
+                rest_s = max(rest_s, min(AHEAD_S, lasts_s, as_said_s))
         if rest_s > 0.0:
-            rest_ns = min(REST_MAX_NS, int(rest_s * NS_PER_S))
-            peer.far_until_ns = now_ns + (max(rest_ns, LOOK_MANY_NS) if self.is_large else rest_ns)
+            self._rest(peer, now_ns, rest_s)
             return False
         if stood < self._keep + self._until_seen_s * hypot(here.vx, here.vy):
             # It says seldom where it is, and may have come to a stand anywhere on its way. Whoever is
             # listened to and silent is noticed in time to brake for it.
             return True
+        parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
+        return self._is_within(peer, now_ns, away, parting, reach)
+
+    def _is_silent_near(self, peer: Peer, now_ns: int, here: Hand) -> bool:
+        """As `_is_near`, of one that is not heard."""
+        message = peer.message
+        if message is not None and self.is_large:
+            # Where it may be takes a while to find out, and of most it is enough how far it can be.
+            age_s = max(0.0, (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S)
+            away = hypot(message.x - here.x, message.y - here.y) - peer.doubt(now_ns)
+            rest_s = (away - self.sensing - STAY_M) / self._closing - 0.5 * age_s - AHEAD_S
+            if rest_s > 0.0:
+                peer.far_until_ns = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
+                return False
+        belief = self._peers.whereabouts.belief(peer)
+        if belief is None:
+            return False
+        dx, dy = belief.x - here.x, belief.y - here.y
+        away = hypot(dx, dy)
+        reach = belief.reach + (self._staying if peer in self.close else self.sensing)
+        room = away - reach
+        as_said_s = min(AHEAD_S, (room - self._closing * AHEAD_S) / (self._closing + self._turning))
+        rest_s = max(room / self._closing - AHEAD_S, as_said_s)
+        if rest_s > 0.0:
+            self._rest(peer, now_ns, rest_s)
+            return False
+        parting = (dx * (0.0 - here.vx) + dy * (0.0 - here.vy)) / max(away, DISTANCE_MIN)
+        return self._is_within(peer, now_ns, away, parting, reach)
+
+    def _rest(self, peer: Peer, now_ns: int, rest_s: float) -> None:
+        """Has a robot rest for so long at most."""
+        rest_ns = int(rest_s * NS_PER_S)
+        if rest_ns > REST_MAX_NS:
+            rest_ns = REST_MAX_NS
+        elif rest_ns < LOOK_MANY_NS and self.is_large:
+            rest_ns = LOOK_MANY_NS
+        peer.far_until_ns = now_ns + rest_ns
+
+    def _is_within(self, peer: Peer, now_ns: int, away: float, parting: float, reach: float) -> bool:
+        """Whether a robot that may not rest is near: so far `away` (m) it is, and goes off so fast (m/s)."""
         if away + min(0.0, parting) * AHEAD_S < reach:
             return True
         if self.is_large:

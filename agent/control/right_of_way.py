@@ -144,13 +144,9 @@ class RightOfWay:
                 to keep to that.
         """
         self._own.append(self._parting(now_ns, here))
-        late_ns = now_ns - self._horizon_ns
-        lost = [  # `Peer.late_ns` is more than the horizon: of many robots, ten times a second
-            peer
-            for peer in self._peers.known
-            if peer.time_ns - peer.clock.used_ns + peer.lateness.forgiven_ns < late_ns and not peer.is_gone
-        ]
-        blind = [peer for peer in self._peers.known if peer.deaf and self._is_blind(peer, now_ns)]
+        overdue = self._peers.overdue(now_ns)
+        lost = [peer for peer in overdue if peer.late_ns(now_ns) > self._horizon_ns and not peer.is_gone]
+        blind = [peer for peer in overdue if peer.deaf and self._is_blind(peer, now_ns)]
         if lost or blind or self._then:
             then = self._then
             self._then = {

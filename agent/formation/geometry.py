@@ -49,6 +49,11 @@ class Geometry:
     distances: Floats
 
 
+_last: tuple[Fleet, Geometry] | None = None
+"""What was resolved last in this process: all robots of a fleet in virtual time have the same. By identity,
+so that it is of nothing else."""
+
+
 def resolve(fleet: Fleet) -> Geometry:
     """The formation that the fleet drives: offsets found, distances written out, slots assigned.
 
@@ -62,6 +67,14 @@ def resolve(fleet: Fleet) -> Geometry:
             above zero), or distances that no placement in the plane meets within `DISTANCE_TOLERANCE`.
         ValueError: a trajectory that `agent.formation.trajectory` cannot make.
     """
+    global _last
+    known = _last
+    if known is None or known[0] is not fleet:
+        known = _last = fleet, _resolve(fleet)
+    return known[1]
+
+
+def _resolve(fleet: Fleet) -> Geometry:
     ids = tuple(robot.id for robot in fleet.members)
     edges = edge_indices(fleet)
     offsets = given_offsets(fleet)

@@ -222,6 +222,11 @@ class BeaconSchedule:
             if near is None or row.robot in near
         )
 
+    def is_news(self, beacon: Beacon) -> bool:
+        """Whether another's beacon tells other orders than its last one, or of this robot something else: of
+        most that come `heard` need not be told."""
+        return (_marks(beacon), self._robot in beacon.unheard) != self._heard.get(beacon.robot)
+
     def heard(self, beacon: Beacon, own: _Marks) -> None:
         """Takes another's beacon: it may have an order that this robot lacks, or not hear it any more. Of
         what the other lacks nothing is said here: it is told (`agent.supervision.order_relay`).

@@ -78,8 +78,14 @@ class OrderRelay:
 
     def compare(self, now_ns: int, beacon: Beacon) -> None:
         """Another robot says which orders it has acknowledged."""
-        self._missions.lacks(now_ns, (beacon.mission_version, beacon.mission_tag))
-        self._orders.lacks(now_ns, (beacon.stop_version, beacon.resume_version))
+        mission, orders = (
+            (beacon.mission_version, beacon.mission_tag),
+            (beacon.stop_version, beacon.resume_version),
+        )
+        if mission < self._choice.mark:  # nearly all have all of it nearly always
+            self._missions.lacks(now_ns, mission)
+        if orders < self._latch.mark:
+            self._orders.lacks(now_ns, orders)
 
     def accept_question(self, ask: Ask, now_ns: int) -> None:
         """An operator asks."""

@@ -155,7 +155,7 @@ class Outbox:
         if self._schedule.is_seldom:
             self._schedule.minds = None if self._peers.rows.are_told(now_ns) else self._peers.listened
             self._schedule.level = self.others_overload
-            self._schedule.loses = any(peer.listened and peer.lateness.loses for peer in self._peers.known)
+            self._schedule.loses = self._peers.loses
         message = self._schedule.timed(
             self._beacon(now_ns, here, doubt, following=following, obeys=obeys, lost_ms=lost_ms),
             self._with_silent,
@@ -168,7 +168,7 @@ class Outbox:
 
     def heard(self, beacon: Beacon) -> None:
         """Takes another's beacon, for what it shows of this robot's."""
-        if self._schedule.is_seldom:
+        if self._schedule.is_seldom and self._schedule.is_news(beacon):
             self._schedule.heard(beacon, (*self._missions.mark, *self._latch.mark))
 
     def _beacon(

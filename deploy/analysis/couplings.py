@@ -31,6 +31,10 @@ from deploy.analysis import fleet_law, patience
 from deploy.analysis.fleet_law import Array, Edges
 from deploy.analysis.rigidity import rigidity_matrix
 
+SQUARES_MAX: Final = 12
+"""So often a matrix is squared at most to see whether its powers die away: to its 4096th power."""
+_HUGE: Final = 1e100
+
 
 class Mode(NamedTuple):
     """One mode of the linearised formation: u = -k1 e - k2 edot; `shape`: it changes edges' lengths."""
@@ -67,6 +71,10 @@ class FleetLaw:
         """Largest |eigenvalue| of the sampled law with the dynamics of its multipliers; 0 where these have
         none."""
         return 0.0
+
+    def sweeps_stably(self, geometry: Geometry, rate_hz: float) -> bool:
+        """Whether that is below 1."""
+        return True
 
 
 class FleetCoupling(FleetLaw):
@@ -142,7 +150,13 @@ class Joint(FleetCoupling):
         return fleet_law.multipliers_joint(e, i, j, robots)
 
     def sweep_radius(self, geometry: Geometry, rate_hz: float) -> float:
-        """Largest |eigenvalue| of the sampled joint law with its multipliers moved by one sweep a tick.
+        return _radius(self._sampled(geometry, rate_hz))
+
+    def sweeps_stably(self, geometry: Geometry, rate_hz: float) -> bool:
+        return _dies_away(self._sampled(geometry, rate_hz))
+
+    def _sampled(self, geometry: Geometry, rate_hz: float) -> Array:
+        """The sampled joint law with its multipliers moved by one sweep a tick: next state from state.
 
         State: e, edot and the last force of every robot, and the multiplier of every edge, with neighbours
         predicted exactly. The law sees e and edot in the middle of the period in which its force acts, as the
@@ -170,8 +184,7 @@ class Joint(FleetCoupling):
         force = np.hstack([-control.c1 * place - control.c2 * speed, np.zeros((n2, m))]) + jacobian.T @ sweep
         hold = np.hstack([np.eye(n2), h * np.eye(n2), np.zeros((n2, n2 + m))])
         velocity = np.hstack([np.zeros((n2, n2)), np.eye(n2), np.zeros((n2, n2 + m))])
-        matrix = np.vstack([hold + 0.5 * h * h * force, velocity + h * force, force, sweep])
-        return float(np.abs(np.linalg.eigvals(matrix)).max())
+        return np.vstack([hold + 0.5 * h * h * force, velocity + h * force, force, sweep])
 
     def _eigenvalues(self, jacobian: Array, softness: Array) -> Array:
         values = _squares(jacobian / np.sqrt(softness)[:, None])
@@ -234,6 +247,26 @@ def _squares(matrix: Array) -> Array:
     """The squares of its singular values, (min(m, 2n),)."""
     values: Array = np.asarray(np.linalg.svd(matrix, compute_uv=False) ** 2, dtype=np.float64)
     return values
+
+
+def _radius(matrix: Array) -> float:
+    """The largest |eigenvalue| of a square matrix."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def _dies_away(matrix: Array) -> bool:
+    """Whether all |eigenvalues| of a square matrix are below 1, as they are if any norm of one of its powers
+    is. A few squares of it mostly show that, in a tenth of the time that the eigenvalues of a large one take:
+    these are asked for where it is not shown."""
+    power = matrix
+    for _ in range(SQUARES_MAX):
+        size = float(np.abs(power).sum(axis=1).max())
+        if size < 1.0:
+            return True
+        if not size < _HUGE:
+            break
+        power = power @ power
+    return _radius(matrix) < 1.0
 
 
 _MODES: Final = "modes(cls, fleet, settings)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from math import inf, sqrt
 from typing import Final
 
@@ -80,15 +81,19 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     def radius(at: float, predicted: bool) -> float:
         return max(sampled_radius(mode, at, predicted=predicted) for mode in set(extreme))
 
+    sweeps = len(geometry.edges) > 0 and len(geometry.ids) <= SWEEP_ROBOTS_MAX
+
     def whole(at: float) -> float:
         result = radius(at, True)
-        if len(geometry.edges) and len(geometry.ids) <= SWEEP_ROBOTS_MAX:
-            result = max(result, law.sweep_radius(geometry, at))
-        return result
+        return max(result, law.sweep_radius(geometry, at)) if sweeps else result
+
+    @cache
+    def is_stable(at: float) -> bool:  # `whole` is below 1, which is found sooner than what it is
+        return radius(at, True) < 1.0 and (not sweeps or law.sweeps_stably(geometry, at))
 
     stiffest = max(extreme, key=lambda mode: max(mode.k2, sqrt(mode.k1)))
     gains = f"its stiffest mode has {stiffest.k1:.3g} 1/s2 and {stiffest.k2:.3g} 1/s"
-    if whole(rate) >= 1.0:
+    if not is_stable(rate):
         needed = _rate_for(whole, rate)
         yield Finding(
             "error",
@@ -96,7 +101,7 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             f"{rate:.4g} Hz is too slow for these gains: the sampled loop is unstable (largest eigenvalue "
             f"{whole(rate):.4g}; {gains}); take at least {needed:.3g} Hz, or {law.softer}",
         )
-    elif radius(rate, False) >= 1.0 or whole(0.5 * rate) >= 1.0:
+    elif radius(rate, False) >= 1.0 or not is_stable(0.5 * rate):
         needed = _rate_for(lambda at: max(whole(0.5 * at), radius(at, False)), rate)
         yield Finding(
             "warning",
@@ -106,9 +111,9 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             f"{law.softer}",
         )
     lowest = rate / (1 << steps(fleet))
-    if whole(rate) < 1.0 <= whole(lowest):
+    if is_stable(rate) and not is_stable(lowest):
         halves = 1
-        while whole(rate / (2 * halves)) < 1.0:
+        while is_stable(rate / (2 * halves)):
             halves *= 2
         yield Finding(
             "warning",

@@ -207,7 +207,8 @@ class _Host:
             self._changes.append((time_ns, key, here))
 
     def _watches(self, token: str) -> bool:
-        return any(_matches(each, token) for each in self.node.watched)
+        watched = self.node.watched  # of most nothing until they know who is near, or no token of others
+        return bool(watched) and (token in watched or any(_matches(each, token) for each in watched))
 
     def tick(self, true_ns: int) -> list[Outgoing]:
         """One round of `agent.runtime.loop.loop`."""

@@ -89,12 +89,17 @@ class Lateness:
         mean_ns = self._mean_ns
         if mean_ns < 0 and expected_ns > UNSURE_NS:  # all were in time: of those nothing is kept
             mean_ns = IN_TIME_NS
-        aged_ns = mean_ns + self._run_ns(expected_ns)
-        allowed_ns = aged_ns + 4 * self._scatter_ns - UNSURE_NS
-        self.forgiven_ns = max(0, min(allowed_ns, self.most_ns))
-        most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0
-        self.usual_ns = min(aged_ns + self._scatter_ns, most_ns)
-        self.heeds = allowed_ns > 0 or self._share > _HEEDED
+        share, scatter_ns, most_ns = self._share, self._scatter_ns, self.most_ns
+        aged_ns = mean_ns + (expected_ns if share <= RARE else self._run_ns(expected_ns))
+        allowed_ns = aged_ns + 4 * scatter_ns - UNSURE_NS
+        forgiven_ns = allowed_ns if allowed_ns < most_ns else most_ns
+        if forgiven_ns > 0:
+            self.forgiven_ns = forgiven_ns
+            self.usual_ns = min(aged_ns + scatter_ns, forgiven_ns + UNSURE_NS)
+        else:
+            self.forgiven_ns = 0
+            self.usual_ns = min(aged_ns + scatter_ns, 0)
+        self.heeds = allowed_ns > 0 or share > _HEEDED
 
     @property
     def loses(self) -> bool:

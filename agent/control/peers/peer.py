@@ -14,6 +14,7 @@ from agent.messages.types import HandState
 
 NEVER: Final = -1
 """Stamp of what has not come."""
+SINCE_EVER: Final = -(1 << 62)
 
 
 class Peer:
@@ -53,6 +54,8 @@ class Peer:
         other_version: what its messages and this program speak, once one was refused for that; else "".
         received, lost, delayed, duplicated: hand states since the start.
         off_m: how far it may be meanwhile from where it is predicted, m, (E1).
+        overdue_ns: it is not silent before then, as who looks for that has found, by the own clock;
+            `SINCE_EVER` for one that may be now.
         far_until_ns: it cannot come near before then, as who looks for that has found; 0 once it is
             somewhere else than on its way.
     """
@@ -61,7 +64,7 @@ class Peer:
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
         "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
         "late_max_ns", "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns",
-        "off_m", "other_version", "received", "robot", "rolls_on", "sequence", "slowly",
+        "off_m", "other_version", "overdue_ns", "received", "robot", "rolls_on", "sequence", "slowly",
         "slowly_until_ns", "stood_until_ns", "time_ns", "token", "trust", "unheard", "went",
     )  # fmt: skip
 
@@ -87,6 +90,7 @@ class Peer:
         self.other_version = ""
         self.received = self.lost = self.delayed = self.duplicated = 0
         self.far_until_ns = self.hand_next_ns = self.stood_until_ns = self.unheard = 0
+        self.overdue_ns = SINCE_EVER
         self.late_max_ns = LATE_MAX_NS
         self.off_m = 0.0
 
@@ -153,7 +157,10 @@ class Peer:
         """Its position uncertainty, m: as it says itself, and by the age of that."""
         message = self.message
         said = self.off_m
-        if message is not None:
+        if message is not None and message.doubt:  # nearly all know where they are
             said += own_doubt(message.doubt, rolls=self.rolls_on and not message.following)
         age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
-        return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
+        if age_s <= 0.0:
+            return said
+        more = DOUBT_RATE * age_s
+        return said + (more if more < DOUBT_MAX else DOUBT_MAX)

@@ -26,6 +26,7 @@ from agent.control.peers.lateness import (
     missed_at_least,
 )
 from agent.control.peers.lost_vehicles import LostVehicles
+from agent.control.peers.overdue import Overdue
 from agent.control.peers.peer import NEVER, Peer
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
 from agent.control.peers.rolling import Rolls
@@ -118,8 +119,16 @@ class Peers:
         self._known = {robot: self._peer(robot) for robot in starts}
         self.whereabouts: Final = Whereabouts(self.forecast, starts, horizon_s)
         self.lost: Final = LostVehicles(self._known, self.forecast)
+        # Whoever is given up has been late for longer than this.
+        self._overdue = Overdue(self._known, round(horizon_s * NS_PER_S))
         self.rows: Final = SilentRows(
-            self._known, self.whereabouts, self.forecast, starts, horizon_s, is_large=self._rest_ns > 0
+            self._known,
+            self._overdue,
+            self.whereabouts,
+            self.forecast,
+            starts,
+            horizon_s,
+            is_large=self._rest_ns > 0,
         )
         self._removed: dict[int, int] = {}
         self._early: list[Peer] = []
@@ -132,6 +141,7 @@ class Peers:
         peer = self._known.get(robot)
         if peer is None:
             peer = self._known[robot] = self._peer(robot)
+            self._overdue.add(peer)
         return peer
 
     def _peer(self, robot: int) -> Peer:
@@ -145,6 +155,10 @@ class Peers:
     def known(self) -> Iterable[Peer]:
         """All robots that something is known of."""
         return self._known.values()
+
+    def overdue(self, now_ns: int) -> list[Peer]:
+        """Those of them that may not be heard, or not hear this one (`Overdue.at`)."""
+        return self._overdue.at(now_ns)
 
     # ------------------------------------------------------------------ what comes
 
@@ -167,12 +181,14 @@ class Peers:
                 for peer, beacon in beacons:
                     if beacon.time_ns > peer.time_ns:
                         self._take_beacon(peer, beacon, now_ns)
+                        self._overdue.note(peer)
             if self._early:
                 early, self._early = self._early, []
                 for peer in early:
                     message, peer.early = peer.early, None
                     if message is not None and message.time_ns > peer.hand_ns:
                         self._take(peer, message, now_ns)
+                        self._overdue.note(peer)
 
     def accept(self, message: HandState, now_ns: int) -> str | None:
         """Takes a hand state at the tick `now_ns`; returns why it is refused, None when it is taken.
@@ -189,7 +205,7 @@ class Peers:
         peer = self.get(message.robot)
         time_ns = message.time_ns
         clock = peer.clock
-        used_ns = clock.used_ns
+        used_ns, forgiven_ns = clock.used_ns, peer.lateness.forgiven_ns
         if self._from_future(peer, time_ns, now_ns):
             return "future"
         if time_ns <= peer.hand_ns:
@@ -215,6 +231,8 @@ class Peers:
                 peer.early = None
                 self._take(peer, waits, now_ns)
             self._take(peer, message, now_ns)
+        if peer.lateness.forgiven_ns != forgiven_ns or clock.used_ns != used_ns:
+            self._overdue.note(peer)
         return None
 
     def accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
@@ -228,20 +246,22 @@ class Peers:
             return "future"
         if beacon.silent:
             self._accept_silent(peer, beacon, now_ns)
-        time_ns = beacon.time_ns
+        time_ns, forgiven_ns = beacon.time_ns, peer.lateness.forgiven_ns
         if time_ns > peer.beacon_ns:
             peer.beacon_ns = time_ns
             peer.mark = beacon.mission_version, beacon.mission_tag
         if time_ns > peer.direct_ns or peer.deaf:
             unheard = beacon.unheard
             peer.deaf, peer.unheard = self._owner in unheard, len(unheard)
-            self.rows.lacks(unheard, now_ns + beacon.next_ms * NS_PER_MS, near=peer.listened)
-        if time_ns <= peer.time_ns:
-            return None  # a hand state was quicker
-        if time_ns - peer.clock.used_ns < now_ns:
-            self._take_beacon(peer, beacon, now_ns)
-        else:
-            self._early_beacons.append((peer, beacon))
+            if unheard:
+                self.rows.lacks(unheard, now_ns + beacon.next_ms * NS_PER_MS, near=peer.listened)
+        if time_ns > peer.time_ns:  # else a hand state was quicker
+            if time_ns - peer.clock.used_ns < now_ns:
+                self._take_beacon(peer, beacon, now_ns)
+            else:
+                self._early_beacons.append((peer, beacon))
+        if peer.deaf or peer.lateness.forgiven_ns != forgiven_ns:
+            self._overdue.note(peer)
         return None
 
     def _accept_silent(self, sender: Peer, beacon: Beacon, now_ns: int) -> None:
@@ -301,12 +321,18 @@ class Peers:
         until_ns = now_ns - round(self._horizon_s * NS_PER_S)
         began_ns = self._began_ns + self._rest_ns
         found = []
-        for peer in self._known.values():
+        for peer in self._overdue.at(now_ns):
             since_ns = max(peer.direct_ns - peer.clock.used_ns, began_ns)
             patient_ns = since_ns + peer.lateness.forgiven_ns
             if patient_ns < until_ns and patient_ns + self.missed_ns(since_ns) < until_ns:
                 found.append(peer.robot)
         return tuple(found)
+
+    @property
+    def loses(self) -> bool:
+        """Whether messages are lost all the time of one that is listened to."""
+        listened = (peer for robot in self.listened if (peer := self._known.get(robot)) is not None)
+        return any(peer.listened and peer.lateness.loses for peer in listened)
 
     @property
     def unknown(self) -> list[int]:
@@ -355,8 +381,8 @@ class Peers:
             peer.degree,
             place,
             beacon.doubt,
-            beacon.obeys(beacon.robot),
-            beacon.lost_ms(beacon.robot),
+            beacon.obeys(beacon.robot) if beacon.rolling else (),
+            beacon.lost_ms(beacon.robot) if beacon.lost else 0,
         )
         if peer.rolls_on:
             peer.note_way(self.forecast.since_measured(peer.message))
@@ -504,6 +530,7 @@ class Peers:
         peer.token = here
         if not here:
             peer.here = False
+            self._overdue.note(peer)
 
     def remove(self, removed: Iterable[Removed]) -> None:
         """Takes which bodies have been carried off, and when: each row once, for missions repeat them."""
@@ -541,6 +568,7 @@ class Peers:
                 # What is known of it may be old by the interval of its beacons; what comes now is not.
                 age_ns = max(0, now_ns + peer.clock.used_ns - peer.time_ns) + peer.lateness.delay_ns
                 peer.lateness.forgiven_ns = min(peer.lateness.forgiven_ns, age_ns)
+                self._overdue.note(peer)
 
     def ignore(self, robot: int) -> None:
         """Its hand states are not listened to any more: those that did not come are not lost, and beacons,
@@ -551,6 +579,7 @@ class Peers:
             peer.listened = False
             if peer.lateness.heeds or self.is_seldom(peer):
                 self._expect_beacon(peer)
+                self._overdue.note(peer)
 
     # ------------------------------------------------------------------ what is known
 

@@ -9,6 +9,7 @@ from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.control.peers.forecast import Forecast
 from agent.control.peers.lateness import UNSURE_NS
+from agent.control.peers.overdue import Overdue
 from agent.control.peers.peer import Peer
 from agent.control.peers.whereabouts import Whereabouts
 from agent.messages.types import SILENT_MAX, Silent
@@ -30,6 +31,7 @@ class SilentRows:
 
     Args:
         known: all robots that something is known of, as it grows.
+        overdue: those of them that may be silent.
         whereabouts: where those may be that are not heard.
         forecast: how all of them move, and since when.
         starts: where the hands of all others are until they are heard, m, W.
@@ -43,6 +45,7 @@ class SilentRows:
     def __init__(
         self,
         known: Mapping[int, Peer],
+        overdue: Overdue,
         whereabouts: Whereabouts,
         forecast: Forecast,
         starts: Mapping[int, Vector],
@@ -51,6 +54,7 @@ class SilentRows:
         is_large: bool,
     ) -> None:
         self._known, self._whereabouts, self._forecast, self._starts = known, whereabouts, forecast, starts
+        self._overdue = overdue
         self._horizon_ns, self._is_large = horizon_s * NS_PER_S, is_large
         self._elsewhere: dict[int, int] = {}
         self._lacked_near: dict[int, int] = {}
@@ -96,18 +100,18 @@ class SilentRows:
         self.near = ()
         if not self.are_told(now_ns):
             return ()
-        elsewhere, epoch_ns = self._elsewhere, self._forecast.epoch_ns
+        epoch_ns = self._forecast.epoch_ns
         begun = now_ns > epoch_ns
         told: list[Peer] = []
         far: list[Peer] = []
-        for peer in self._known.values():
+        for peer in self._may_be_told(now_ns):
             if peer.is_gone:
                 continue
             robot = peer.robot
             if peer.message is None:
                 if not (begun and robot in self._starts and (peer.never_came or was_there)):
                     continue
-            elif elsewhere.get(robot, 0) <= now_ns and (
+            elif self._elsewhere.get(robot, 0) <= now_ns and (
                 peer.is_heard(now_ns) or _is_own_doing(peer, now_ns, missed_ns)
             ):
                 continue
@@ -126,6 +130,17 @@ class SilentRows:
                 told = self._in_time(told, now_ns)
             self._told = first + len(told)
         return tuple(self._row(peer, now_ns) for peer in told)
+
+    def _may_be_told(self, now_ns: int) -> list[Peer]:
+        """Those of which there may be something to tell, in the order in which they came to be known: whoever
+        is heard here and lacked by nobody is none."""
+        late = self._overdue.at(now_ns)
+        if self._elsewhere:
+            self._elsewhere = {robot: ns for robot, ns in self._elsewhere.items() if ns > now_ns}
+        if not self._elsewhere:
+            return late
+        told = {peer.robot for peer in late}.union(self._elsewhere)
+        return [peer for robot, peer in self._known.items() if robot in told]
 
     def _in_time(self, told: list[Peer], now_ns: int) -> list[Peer]:
         """The first of these, so many that not too much is to be worked out for them."""

@@ -5,15 +5,17 @@ from __future__ import annotations
 from math import atan2, cos, hypot, inf, sin
 
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from agent.common.quantities import DISTANCE_MIN
 from agent.control.controller import LOOK_PERIOD_NS
 from agent.control.hand import Hand
-from agent.control.peers.beliefs import DOUBT_MAX, Belief
+from agent.control.peers.beliefs import DOUBT_MAX, Belief, Stretch
+from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peer import Peer
 from agent.control.peers.peers import Peers
-from agent.control.proximity import AHEAD_S, STAY_M, Proximity
+from agent.control.proximity import AHEAD_S, LOOK_MANY_NS, REST_MAX_NS, STAY_M, Proximity
 from agent.control.safety_distances import acceleration_max, speed_max
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
@@ -349,3 +351,104 @@ def test_whoever_rests_is_found_as_soon_as_if_it_were_always_looked_at(
         assert lazy.close == eager.close
         for scene in (lazy, eager):
             scene.wait()
+
+
+# ---------------------------------------------------------------------- against the plain form of it
+
+
+def plainly(of: Proximity, peers: Peers, peer: Peer, now_ns: int, here: Hand) -> tuple[bool, int]:
+    """Whether a robot is near, and until when it rests, with all worked out whether it matters or not."""
+    message, rests_ns = peer.message, peer.far_until_ns
+    stood = lasts_s = inf
+    if message is not None and peer.is_heard(now_ns):
+        age_ns = now_ns + peer.clock.used_ns - peer.time_ns
+        lasts_s = (UNSURE_NS + peer.lateness.forgiven_ns - age_ns) / S
+        ahead_s = max(0.0, age_ns / S) if message.following else 0.0
+        dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
+        vx, vy, reach = message.vx, message.vy, peer.doubt(now_ns)
+        speed = hypot(vx - here.vx, vy - here.vy)
+        if seldom := peers.is_seldom(peer):
+            speed = max(speed, hypot(vx, vy), hypot(here.vx, here.vy))
+        if age_ns > UNSURE_NS:
+            if seldom:
+                stood = hypot(dx, dy) - ahead_s * hypot(vx, vy)
+                if stood < of._soon:
+                    way = Stretch(message.x, message.y, ahead_s * vx, ahead_s * vy, 0.0, 0.0)
+                    stood = way.distance(here.x, here.y)
+            elif hypot(message.x - here.x, message.y - here.y) < of.sensing:
+                return True, rests_ns
+    else:
+        if message is not None and of.is_large:
+            age_s = max(0.0, (now_ns + peer.clock.used_ns - peer.time_ns) / S)
+            away = hypot(message.x - here.x, message.y - here.y) - peer.doubt(now_ns)
+            rest_s = (away - of.sensing - STAY_M) / of._closing - 0.5 * age_s - AHEAD_S
+            if rest_s > 0.0:
+                return False, now_ns + min(REST_MAX_NS, int(rest_s * S))
+        belief = peers.whereabouts.belief(peer)
+        if belief is None:
+            return False, rests_ns
+        dx, dy, reach = belief.x - here.x, belief.y - here.y, belief.reach
+        vx = vy = 0.0
+        speed = of._closing
+    away = hypot(dx, dy)
+    parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
+    reach += of.sensing + (STAY_M if peer in of.close else 0.0)
+    room = min(away, stood) - reach
+    as_said_s = min(AHEAD_S, lasts_s, (room - speed * AHEAD_S) / (speed + of._turning))
+    rest_s = max(room / of._closing - AHEAD_S, as_said_s)
+    if rest_s > 0.0:
+        rest_ns = min(REST_MAX_NS, int(rest_s * S))
+        return False, now_ns + (max(rest_ns, LOOK_MANY_NS) if of.is_large else rest_ns)
+    if stood < of._keep + of._until_seen_s * hypot(here.vx, here.vy):
+        return True, rests_ns
+    if away + min(0.0, parting) * AHEAD_S < reach:
+        return True, rests_ns
+    return False, now_ns + LOOK_MANY_NS if of.is_large else rests_ns
+
+
+SPEEDS = st.one_of(st.just(0.0), st.floats(-4.0, 4.0))
+
+
+@settings(max_examples=300)
+@given(
+    large=st.booleans(),
+    place=st.tuples(st.floats(-20.0, 20.0), st.floats(-6.0, 6.0)),
+    velocity=st.tuples(SPEEDS, SPEEDS),
+    own=st.tuples(SPEEDS, SPEEDS),
+    follows=st.sampled_from((True, True, False)),
+    doubt=st.sampled_from((0.0, 0.1, 0.9)),
+    next_ms=st.sampled_from((1500, 0)),
+    forgiven_ns=st.sampled_from((2 * S, S, 0)),
+    age_ns=st.one_of(st.integers(1, S // 2), st.integers(1, 4 * S)),
+    was_close=st.booleans(),
+    here=st.sampled_from((True, True, True, False)),
+)
+def test_who_is_near_and_who_rests_until_when_is_what_the_plain_form_of_it_says(
+    large: bool,
+    place: tuple[float, float],
+    velocity: tuple[float, float],
+    own: tuple[float, float],
+    follows: bool,
+    doubt: float,
+    next_ms: int,
+    forgiven_ns: int,
+    age_ns: int,
+    was_close: bool,
+    here: bool,
+) -> None:
+    """To the bit: others hear of who is near, and by when it is found."""
+    scene = Scene(*(("avoidance.beacon_interval_max_s=2.0",) if large else ()))
+    peer = scene.peers.get(3)
+    if was_close:
+        scene.beacon(1.0)
+        scene.look()
+        scene.wait(4 * S)
+    told = Beacon(3, 0, scene.now - 1, follows, *place, *velocity, doubt, 0, 0, -1, -1, next_ms=next_ms)
+    assert scene.peers.accept_beacon(told, scene.now) is None
+    scene.wait(age_ns)
+    peer.lateness.forgiven_ns = forgiven_ns
+    scene.peers.present(3, here)
+    hand = Hand(0.0, 0.0, *own)
+    is_near, rests_ns = plainly(scene.proximity, scene.peers, peer, scene.now, hand)
+    scene.look(hand)
+    assert ((scene.close == [3]), peer.far_until_ns) == (is_near, rests_ns)

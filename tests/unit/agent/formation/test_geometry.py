@@ -58,6 +58,13 @@ def test_a_geometry_cannot_be_written_to():
             array[0] = 0
 
 
+def test_one_fleet_is_resolved_once_and_another_for_itself():
+    one, other = fleet(), fleet(starts=[(x + 1.0, y) for x, y in STARTS])
+    assert resolve(one) is resolve(one)
+    assert resolve(other) is not resolve(one)
+    assert resolve(replace(one)) is not resolve(one)
+
+
 def test_ids_need_not_be_in_order():
     edges = tuple((10 * i, 10 * j) for i, j in DELTA_EDGES)
     geometry = resolve(fleet(edges=edges, ids=(60, 50, 40, 30, 20, 10)))

@@ -343,6 +343,20 @@ def test_who_does_not_hear_it_hears_it_soon() -> None:
     assert bench.run(1.0) == [6.4]
 
 
+def test_of_another_its_first_beacon_is_news_and_one_with_other_orders_or_another_word_of_this_robot() -> (
+    None
+):
+    schedule = quiet().schedule
+    first = beacon(T0, robot=5)
+    assert schedule.is_news(first)
+    schedule.heard(first, MARKS)
+    assert not schedule.is_news(beacon(T0 + 1, robot=5))
+    assert not schedule.is_news(beacon(T0 + 1, robot=5, unheard=(3,)))
+    assert schedule.is_news(beacon(T0 + 1, robot=5, unheard=(2,)))
+    assert schedule.is_news(beacon(T0 + 1, robot=5, marks=(MARKS[0] + 1, *MARKS[1:])))
+    assert schedule.is_news(beacon(T0 + 1, robot=6))
+
+
 def test_what_can_wait_hurries_no_oftener_than_its_share() -> None:
     """A fleet that loses each other in turn would else add to its trouble at every turn of everybody."""
     bench = Bench(fleet(robots=60, beacon_interval_max_s=1.6))

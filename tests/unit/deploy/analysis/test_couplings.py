@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
 from agent.formation.geometry import resolve
-from deploy.analysis.couplings import COUPLINGS
+from deploy.analysis.couplings import COUPLINGS, _dies_away, _radius
 from tests.unit.deploy.synthetic_run import make_fleet
 
 PAIR = make_fleet([(0.0, 0.0), (2.0, 0.0)], [(1, 2)])
@@ -53,6 +55,39 @@ def test_sweeps_are_the_joint_laws_alone():
     radius = {name: of(name).sweep_radius(geometry, 50.0) for name in COUPLINGS}
     assert 0.9 < radius.pop("joint") < 1.0
     assert set(radius.values()) == {0.0}
+
+
+@pytest.mark.parametrize("rate_hz", [0.5, 1.0, 1.5, 2.0, 3.0, 10.0, 50.0])
+@pytest.mark.parametrize("kp", [0.0, 1.0, 3.0])
+def test_sweeps_are_stable_whose_largest_eigenvalue_is_below_1(rate_hz: float, kp: float):
+    geometry = resolve(TRIANGLE)
+    for name in COUPLINGS:
+        law = of(name, kp)
+        assert law.sweeps_stably(geometry, rate_hz) == (law.sweep_radius(geometry, rate_hz) < 1.0)
+
+
+@given(
+    st.integers(0, 2**32),
+    st.integers(1, 8),
+    st.one_of(
+        st.sampled_from((0.0, 0.5, 0.999, 0.9999999, 1.0000001, 1.001, 2.0, 1e60)), st.floats(0.9, 1.1)
+    ),
+    st.sampled_from((0.0, 1.0, 100.0)),
+)
+def test_powers_die_away_of_a_matrix_whose_eigenvalues_are_all_below_1(
+    seed: int, size: int, largest: float, skew: float
+):
+    """However far from normal it is, so that its powers grow at first."""
+    generator = np.random.default_rng(seed)
+    matrix = generator.normal(size=(size, size))
+    if abs(largest - 1.0) > 0.05:  # else rounding decides, for eigenvalues that depend so much on the entries
+        matrix += skew * np.triu(generator.normal(size=(size, size)), 1)
+    else:
+        matrix += matrix.T
+    matrix *= largest / _radius(matrix)
+    if abs(_radius(matrix) - 1.0) < 1e-9:
+        return
+    assert _dies_away(matrix) == (_radius(matrix) < 1.0)
 
 
 def test_what_each_says_of_itself():
