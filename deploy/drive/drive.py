@@ -62,8 +62,8 @@ class Drive:
         ways: makes the ways by which robots are stopped, besides the links that there are, after Ctrl-C or
             when they do not answer.
 
-    After `run`, `reasons` holds what went wrong in the operator's eyes, and `warnings` what fails nothing, as
-    sentences for the verdict.
+    After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict, and
+    `warnings` what fails nothing, as such without their ends.
     """
 
     def __init__(

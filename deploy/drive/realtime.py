@@ -86,7 +86,7 @@ class Watch:
         return in_words(self._fleet, granted)
 
     def look(self, at_s: float) -> list[str]:
-        """Sentences about who has given it up since, at a time of this process's clock, s."""
+        """Sentences, without their ends, about who has given it up since, at a time of this process's clock, s."""
         if not self._had or at_s < self._due_s:
             return []
         self._due_s = at_s + LOOK_S
@@ -95,7 +95,7 @@ class Watch:
         self._had.difference_update(gone)
         return [
             f"The {role} of robot {robot} has given up real time: it ran for {OVERRUN_S:g} s without "
-            "waiting, and goes on with SCHED_OTHER."
+            "waiting, and goes on with SCHED_OTHER"
             for robot, role in gone
         ]
 
