@@ -86,7 +86,7 @@ class Watch:
         return in_words(self._fleet, granted)
 
     def look(self, at_s: float) -> list[str]:
-        """Sentences, without their ends, about who has given it up since, at a time of this process's clock, s."""
+        """Sentences without their ends about who has given it up since; `at_s`: of this process's clock."""
         if not self._had or at_s < self._due_s:
             return []
         self._due_s = at_s + LOOK_S

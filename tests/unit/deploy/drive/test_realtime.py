@@ -134,9 +134,8 @@ def test_who_gives_real_time_up_in_a_drive_is_named_once() -> None:
     assert there.looks == 2, "a look costs files of each process: one a second is enough"
     there.found = there.found | {(2, "agent"): REFUSED, (3, "plant"): None}
     (sentence,) = watch.look(11.0)
-    assert sentence.startswith(
-        "The agent of robot 2 has given up real time: it ran for 0.5 s without waiting"
-    )
+    said = "The agent of robot 2 has given up real time: it ran for 0.5 s without waiting, and goes on with "
+    assert sentence == f"{said}SCHED_OTHER", "the verdict ends it"
     assert watch.look(12.0) == []
 
 
