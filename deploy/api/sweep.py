@@ -24,9 +24,10 @@ from deploy.cluster.choose import make_engine
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
 from deploy.simulate.worker_pool import Work, cores
-from deploy.sweep.plan import Axis, Plan, Question, Range, make_plan, parse_axis, parse_over
+from deploy.sweep.plan import Plan, Question, make_plan
 from deploy.sweep.run import PASSED, Row, Runs
 from deploy.sweep.summary import Cell, margin_axis, margins, summarise
+from deploy.sweep.varied import Axis, Range, parse_axis, parse_over
 from deploy.verdict.metrics import columns
 
 if TYPE_CHECKING:

@@ -22,8 +22,9 @@ import tomli_w
 
 from agent.runtime.version import handfast_version
 from deploy.recording.run_files import FLEET_FILE
-from deploy.sweep.plan import Axis, Plan, Question, Range, SweepError, parse_over
+from deploy.sweep.plan import Plan, Question
 from deploy.sweep.run import Row
+from deploy.sweep.varied import Axis, Range, SweepError, parse_over
 from deploy.verdict.metrics import columns
 
 FORMAT: Final = 1

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from math import ceil, floor, inf, isfinite, sqrt
 from typing import Any, Final
 
-from deploy.sweep.plan import Axis, Plan, SweepError
+from deploy.sweep.plan import Plan
 from deploy.sweep.run import CRASHED, TIMED_OUT, Row
+from deploy.sweep.varied import Axis, SweepError
 from deploy.verdict.metrics import Column, Metric, Picture, columns
 
 Z_95: Final = 1.959963984540054

@@ -90,8 +90,9 @@ def sweep(options: argparse.Namespace) -> int:
     from deploy.inventory.folders import out_folder
     from deploy.simulate.worker_pool import EngineLost, cores
     from deploy.sweep.folder import SweepFolder, read_digest
-    from deploy.sweep.plan import SweepError, make_plan
+    from deploy.sweep.plan import make_plan
     from deploy.sweep.summary import margin_axis
+    from deploy.sweep.varied import SweepError
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -140,7 +141,8 @@ def sweep(options: argparse.Namespace) -> int:
 def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     """What is asked, and the folder of the sweep that asks it when one is gone on with."""
     from deploy.sweep.folder import SWEEP_FILE, read_question
-    from deploy.sweep.plan import Axis, Question, Range, SweepError, parse_over
+    from deploy.sweep.plan import Question
+    from deploy.sweep.varied import Axis, Range, SweepError, parse_over
 
     folder = Path(options.fleet)
     if folder.is_dir():
@@ -170,7 +172,7 @@ def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
 
 
 def _quantity(text: str, unit: str, option: str, example: str) -> float:
-    from deploy.sweep.plan import SweepError, number
+    from deploy.sweep.varied import SweepError, number
 
     value = number(text, unit)
     if value is None or value <= 0.0:
@@ -181,7 +183,7 @@ def _quantity(text: str, unit: str, option: str, example: str) -> float:
 def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
     """Says what `check` finds wrong in any cell; errors end the command unless an option says otherwise."""
     from deploy.check.check import check
-    from deploy.sweep.plan import SweepError
+    from deploy.sweep.varied import SweepError
 
     found: dict[tuple[str, str], tuple[str, list[int]]] = {}
     for cell in range(len(plan.cells)):
@@ -212,7 +214,7 @@ def _write(folder: SweepFolder, run: int) -> int:
     import tomli_w
 
     from agent.fleet.loading import to_dict
-    from deploy.sweep.plan import SweepError
+    from deploy.sweep.varied import SweepError
 
     plan = folder.plan
     if not 0 <= run < plan.runs:
@@ -267,8 +269,8 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
     from deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim
     from deploy.sweep.figures import write_sweep_figures
     from deploy.sweep.folder import csv_bytes, replace_file
-    from deploy.sweep.plan import SweepError
     from deploy.sweep.summary import margins, shown, summarise, summary_json, summary_table
+    from deploy.sweep.varied import SweepError
     from deploy.verdict.reasons import of_fault
 
     plan = folder.plan

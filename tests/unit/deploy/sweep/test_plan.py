@@ -28,9 +28,10 @@ from deploy.simulate.simulation import Simulation
 from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.sweep.figures import PANELS_MAX, scatter, write_sweep_figures
 from deploy.sweep.folder import SweepFolder, read_question
-from deploy.sweep.plan import Axis, Plan, Question, Range, SweepError, make_plan, parse_axis, parse_over
+from deploy.sweep.plan import Plan, Question, make_plan
 from deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
 from deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
+from deploy.sweep.varied import Axis, Range, SweepError, parse_axis, parse_over
 from deploy.verdict.metrics import columns
 from deploy.verdict.run_result import RunResult
 
