@@ -192,6 +192,11 @@ def margin_axis(plan: Plan, wanted: str | None) -> int | None:
         if DEFAULT_MARGIN in numeric:
             return names.index(DEFAULT_MARGIN)
         return names.index(numeric[0]) if numeric else None
+    if wanted in (each.field for each in plan.ranges):
+        raise SweepError(
+            f"--margin {wanted}: every run draws it, so it has no margin: vary it over values instead, "
+            f"--over {wanted}=V,V,..."
+        )
     if wanted not in names:
         raise SweepError(f"--margin {wanted} is not varied: varied are {', '.join(names) or 'no fields'}")
     if wanted not in numeric:
