@@ -156,7 +156,8 @@ class Cluster(Generic[T]):
         """Has nobody work for this campaign any more."""
         # Of a scheduler that stands still nobody can ask anything; workers end what nobody asks for.
         within_s = CLOSE_S if self._watch.silent_s < LOOK_S + HEARD_S else HURRY_S
-        self._watch.stop(within_s)
+        if not self._watch.stop(within_s):
+            within_s = HURRY_S
         if self._client.status == "running":
             workers = list(self._workers)
             given = [each.future for worker in self._workers.values() for each in worker.given.values()]

@@ -85,9 +85,11 @@ class Watch:
         self._thread = threading.Thread(target=self._run, name="cluster", daemon=True)
         self._thread.start()
 
-    def stop(self, within_s: float = CLOSE_S) -> None:
+    def stop(self, within_s: float = CLOSE_S) -> bool:
+        """Looks no more; whether it has ended already: else it waits for an answer."""
         self._stop.set()
         self._thread.join(within_s)
+        return not self._thread.is_alive()
 
     @property
     def silent_s(self) -> float:
