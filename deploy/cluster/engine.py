@@ -251,7 +251,7 @@ class Cluster(Generic[T]):
         if waited_s > self._patience_s:
             raise kind(
                 f"there is no worker at {self.name}: none has come within {self._patience_s:.0f} s "
-                "(--cluster-wait)"
+                "(--cluster-wait, or cluster_wait in Python, waits longer)"
             )
 
     # ------------------------------------------------------------------ runs
