@@ -20,13 +20,14 @@ from deploy.api.changes import Classes, in_words_of_python, toml
 from deploy.api.fleet import Changes, Fleet, Source, load, names_known
 from deploy.api.given import Known, flags, whole
 from deploy.api.recording import data_frame
-from deploy.cluster.choose import make_engine
+from deploy.cluster.choose import SSH, make_engine
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
 from deploy.simulate.worker_pool import Work, cores
-from deploy.sweep.plan import Axis, Plan, Question, Range, make_plan, parse_axis, parse_over
+from deploy.sweep.plan import Plan, Question, make_plan
 from deploy.sweep.run import PASSED, Row, Runs
 from deploy.sweep.summary import Cell, margin_axis, margins, summarise
+from deploy.sweep.varied import Axis, Range, parse_axis, parse_over
 from deploy.verdict.metrics import columns
 
 if TYPE_CHECKING:
@@ -164,6 +165,7 @@ def sweep(
     seeds: int = 1,
     workers: int | None = None,
     cluster: str | None = None,
+    cluster_wait: float | None = None,
     random_starts: bool | float = False,
     check: bool = True,
     progress: bool = False,
@@ -180,6 +182,7 @@ def sweep(
         workers: processes (default: the number of cores).
         cluster: drives on other machines: ``tcp://host:port`` or ``tls://host:port`` of a Dask scheduler, its
             scheduler file, or ``ssh:FLEET`` for the hosts of a fleet file.
+        cluster_wait: so long a scheduler that has no worker is waited for, s (default: 60).
         random_starts: every seed starts somewhere else, in a square with this side (m), or one that suits.
         check: refuses a grid in which `check` finds errors.
         progress: shows on stderr how far it is.
@@ -193,6 +196,12 @@ def sweep(
         raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
     if cluster is not None and workers is not None:
         raise Error("workers are this machine's processes, a cluster says its own: leave one out")
+    if cluster_wait is not None:
+        if cluster is None or cluster.startswith(SSH):
+            raise Error("cluster_wait is of a Dask scheduler that cluster names: leave it out")
+        wait: Any = cluster_wait
+        if isinstance(wait, bool) or not (isinstance(wait, Real) and 0.0 < float(wait) < inf):
+            raise Error(f"cluster_wait must be a time above 0 (s), got {cluster_wait!r}")
     jobs = cores() if workers is None else whole(workers, "workers", 1)
     seeds = whole(seeds, "seeds", 1)
     side: Any = None if random_starts is False else 0.0 if random_starts is True else random_starts
@@ -221,9 +230,13 @@ def sweep(
     work: Work[Row] = _Carried(Runs(plan), classes.known) if classes.known else Runs(plan)
     interrupt = Interrupt()
     show = make_progress(sys.stderr, plan.runs, quiet=not progress, trouble="unsafe or not settled")
-    engine = make_engine(cluster, work, jobs, RUN_S_MAX, show, plan.cells)
+
+    def go_on() -> bool:
+        return interrupt.count == 0
+
+    engine = make_engine(cluster, work, jobs, RUN_S_MAX, show, plan.cells, go_on=go_on, wait_s=cluster_wait)
     with interrupt.caught(), show, engine:
-        for row in engine.results(plan.order(), lambda: interrupt.count == 0):
+        for row in engine.results(plan.order(), go_on):
             rows[row.run] = row
             show.add(trouble=not row.good)
     if interrupt.count:

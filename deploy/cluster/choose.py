@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, Protocol, TypeVar
 
 from agent.common.errors import Error, packages_named
 from agent.common.wording import printable
+from agent.common.wording import show as shown
 from agent.fleet.model import Fleet
+from deploy.console.arguments import fleet_path
 from deploy.hosts.artifacts.plugin_files import PluginFilesError, plugin_files
 from deploy.simulate import worker_pool
-from deploy.simulate.worker_pool import Engine, Work
+from deploy.simulate.worker_pool import Engine, GoOn, Work
 
 SSH: Final = "ssh:"
 _SCHEMES: Final = ("tcp://", "tls://")
@@ -38,6 +41,9 @@ def make_engine(
     timeout_s: float,
     show: Progress,
     fleets: Iterable[Fleet] = (),
+    *,
+    go_on: GoOn = lambda: True,
+    wait_s: float | None = None,
 ) -> Engine[T]:
     """What drives runs of `work`, each in at most `timeout_s`.
 
@@ -45,6 +51,8 @@ def make_engine(
         cluster: as ``--cluster`` has it; None: this machine, `jobs` runs at a time.
         show: what is shown meanwhile.
         fleets: whose plugins go along to other machines.
+        go_on: is asked while a cluster is looked for: where it says no, no run is driven.
+        wait_s: how long a cluster without a worker is waited for; else as long as it is.
 
     Raises:
         Error: there is no such cluster.
@@ -53,18 +61,23 @@ def make_engine(
     if cluster is None:
         return worker_pool.Pool(work, jobs, timeout_s)
     check_cluster(cluster)
-    from deploy.cluster.engine import Cluster
+    from deploy.cluster.engine import WORKERS_S, Cluster
     from deploy.cluster.on_hosts import HostsCluster
 
     files = _files(fleets, show)
 
-    def count(number: int) -> None:
-        show.at_work(f"{number} at a time")
+    def count(runs: int, workers: int) -> None:
+        show.at_work(f"{runs} at a time on {workers} worker{'s' * (workers != 1)}")
 
     if cluster.startswith(SSH):
         name = cluster.removeprefix(SSH)
-        return HostsCluster(name, work, timeout_s, files=files, say=show.say, count=count)
-    return Cluster(_address(cluster), work, timeout_s, files=files, say=show.say, count=count)
+        return HostsCluster(name, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on)
+    address = _address(cluster)
+    return Cluster(
+        address, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on,
+        patience_s=WORKERS_S if wait_s is None else wait_s,
+        name=address if address == cluster else f"{address} ({printable(cluster)})",
+    )  # fmt: skip
 
 
 def check_cluster(cluster: str | None) -> None:
@@ -73,22 +86,52 @@ def check_cluster(cluster: str | None) -> None:
         return
     if not cluster.startswith(SSH):
         _address(cluster)
+    elif not (fleet := cluster.removeprefix(SSH)):
+        raise ClusterOptionError(f"--cluster {SSH} names no fleet: write {SSH}FLEET, a fleet file with hosts")
+    else:
+        try:
+            fleet_path(fleet)
+        except Error as error:
+            raise ClusterOptionError(f"--cluster {printable(cluster)}: {error}") from None
     with packages_named("--cluster"):
         import deploy.cluster.engine  # noqa: F401 (whether it can be)
 
 
-def _address(cluster: str) -> str | Mapping[str, str]:
+def _address(cluster: str) -> str:
     """Where the scheduler is, as `deploy.cluster.engine.Cluster` takes it."""
-    scheme = next((scheme for scheme in _SCHEMES if cluster.startswith(scheme)), None)
-    host, colon, port = cluster.removeprefix(scheme or "").rpartition(":")
-    if scheme is not None and host and colon and port.isdecimal():
+    if _is_address(cluster):
         return cluster
-    if scheme is None and Path(cluster).is_file():
-        return {"scheduler_file": cluster}
+    if not cluster.startswith(_SCHEMES) and Path(cluster).is_file():
+        return _address_in(Path(cluster))
     raise ClusterOptionError(
         f"--cluster {printable(cluster)}: must be tcp://HOST:PORT or tls://HOST:PORT of a Dask scheduler, "
         "the file that it was given as --scheduler-file, or ssh:FLEET for a fleet's hosts"
     )
+
+
+def _address_in(path: Path) -> str:
+    """The address in the file that a scheduler has written."""
+    said = f"--cluster {printable(str(path))}"
+    must = 'must be what a Dask scheduler writes for --scheduler-file, {"address": "tcp://HOST:PORT", ...}'
+    try:
+        found = json.loads(path.read_bytes())
+    except OSError as error:
+        raise ClusterOptionError(f"{said}: cannot read the file: {error.strerror or error}") from None
+    except (ValueError, RecursionError):
+        raise ClusterOptionError(f"{said}: {must}, and is no JSON") from None
+    address = found.get("address") if isinstance(found, dict) else None
+    if not isinstance(address, str):
+        raise ClusterOptionError(f"{said}: {must}, and has no address")
+    if not _is_address(address):
+        raise ClusterOptionError(f"{said}: {must}, and its address is {shown(address)}")
+    return address
+
+
+def _is_address(text: str) -> bool:
+    """Whether it is the address of a scheduler."""
+    scheme = next((scheme for scheme in _SCHEMES if text.startswith(scheme)), None)
+    host, colon, port = text.removeprefix(scheme or "").rpartition(":")
+    return bool(scheme and host and colon and port.isdecimal())
 
 
 def _files(fleets: Iterable[Fleet], show: Progress) -> dict[str, bytes]:

@@ -11,34 +11,41 @@ import logging
 import queue
 import time
 import uuid
-import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from math import isfinite
 from types import TracebackType
 from typing import Any, Final, Generic, TypeVar
 
 import distributed
 from distributed.security import Security
 
-from agent.common.wording import printable
+from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected, error_line
 from deploy.cluster.on_worker import UnknownCampaign
 from deploy.cluster.sent import Unfinished, Unreadable, pack
-from deploy.cluster.watch import CLOSE_S, MODULE, ClusterError, Watch, error_line, remote
+from deploy.cluster.watch import LOOK_S, MODULE, Watch, remote
 from deploy.simulate.worker_pool import POLL_S, EngineLost, GoOn, Work
 
 AHEAD: Final = 1
 """Runs that wait at each thread of a worker, beside the one that it is at: no more are submitted."""
 DEATHS_MAX: Final = 2
 """A run that was under way when so many workers died is not driven again."""
-CONNECT_S: Final = 10.0
 SILENT_S: Final = 30.0
 """A scheduler that has said nothing for this long is given up."""
 WORKERS_S: Final = 60.0
-"""So long a campaign waits for a worker when it has none."""
+"""So long a campaign waits for a worker when it has none, unless somebody says otherwise."""
+WAITS_S: Final = 20.0
+"""So often it is said that it waits."""
+NOBODY_HAS: Final = "handfast-nobody"
+DEMAND_MAX: Final = 200
+"""So many of the runs that wait here the scheduler is told of."""
 RESULT_S: Final = 10.0
 """So long a result may take from a worker that has it."""
+HEARD_S: Final = 2.0
+HURRY_S: Final = 0.5
+"""What the end of a campaign may ask for may take so long where the scheduler says nothing."""
 
 T = TypeVar("T")
 Say = Callable[[str], None]
@@ -75,15 +82,16 @@ class Cluster(Generic[T]):
     """Drives runs of `work` on the workers of a scheduler, each run in at most `timeout_s`. An `Engine`.
 
     Args:
-        address: ``tcp://host:port`` or ``tls://host:port``, or keywords for `distributed.Client`.
+        address: ``tcp://host:port`` or ``tls://host:port``.
         files: of plugins that go along, by their names below a folder of packages.
         say: is told of workers that are refused, are lost or come late.
-        count: is told how many runs are driven at a time, whenever that changes.
+        count: is told how many runs are driven at a time, on how many workers, whenever that changes.
         security: of the connections; else as Dask's configuration has it.
         broken: says why there will be no workers any more, None while there may be.
         expects: how many workers there will be, 0 where nobody knows.
         patience_s: so long it waits for a worker when it has none.
         name: how the scheduler is called in messages; else by its address.
+        go_on: is asked while there is no connection yet: where it says no none is made, and no run is driven.
 
     Raises:
         ClusterError: on entering: there is no such scheduler, or it is of no use.
@@ -91,58 +99,51 @@ class Cluster(Generic[T]):
 
     def __init__(
         self,
-        address: str | Mapping[str, Any],
+        address: str,
         work: Work[T],
         timeout_s: float,
         *,
         files: Mapping[str, bytes],
         say: Say,
-        count: Callable[[int], None] = lambda _: None,
+        count: Callable[[int, int], None] = lambda _runs, _workers: None,
         security: Security | None = None,
         broken: Callable[[], str | None] = lambda: None,
         expects: Callable[[], int] = lambda: 0,
         patience_s: float = WORKERS_S,
         name: str = "",
+        go_on: GoOn = lambda: True,
     ) -> None:
         self._address, self._work, self._timeout_s, self._files = address, work, timeout_s, files
         self._say, self._count, self._security, self._broken = say, count, security, broken
-        self._expects, self._patience_s, self._called = expects, patience_s, name
+        self._expects, self._patience_s, self.name = expects, patience_s, name or address
+        self._wanted = go_on
         self._campaign = uuid.uuid4().hex
         self._workers: dict[str, _Worker] = {}
         self._deaths: dict[int, list[str]] = {}
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._keys = 0
         self._worked = False  # whether a run has come back
-
-    @property
-    def name(self) -> str:
-        """How the scheduler is called in messages."""
-        if self._called:
-            return self._called
-        return self._address if isinstance(self._address, str) else str(next(iter(self._address.values())))
+        self._demand: list[Any] = []
+        self._left = ExitStack()
 
     def __enter__(self) -> Cluster[T]:
         security = self._security or Security()  # as Dask's configuration has it
-        if self.name.startswith("tls://") and security.get_connection_args("client")["ssl_context"] is None:
+        certified = security.get_connection_args("client")["ssl_context"] is not None
+        if self._address.startswith("tls://") and not certified:
             raise ClusterError(
                 f"{self.name} needs certificates: name them in Dask's configuration "
                 "(distributed.comm.tls.ca-file, client.cert and client.key)"
             )
         with ExitStack() as stack:
             stack.enter_context(_silenced())
-            keywords = {"address": self._address} if isinstance(self._address, str) else self._address
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of versions, which are compared and said here
-                try:
-                    self._client: Any = distributed.Client(
-                        **keywords, timeout=CONNECT_S, security=security, set_as_default=False
-                    )
-                except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
-                    why = str(error) if isinstance(error, OSError) else error_line(error)
-                    raise ClusterError(f"there is no scheduler at {self.name}: {printable(why)}") from None
-            stack.callback(self._close)
-            self._watch = Watch(self._client, self._campaign, pack(self._work), self._files, self._timeout_s)
-            stack.callback(self._end)
+            with suppress(GivenUp):  # then nobody wants results either
+                self._client: Any = stack.enter_context(
+                    connected(self._address, security, self.name, self._wanted)
+                )
+                self._watch = Watch(
+                    self._client, self._campaign, pack(self._work), self._files, self._timeout_s, self._wanted
+                )
+                stack.callback(self._end)
             self._left = stack.pop_all()
         return self
 
@@ -153,15 +154,15 @@ class Cluster(Generic[T]):
 
     def _end(self) -> None:
         """Has nobody work for this campaign any more."""
-        self._watch.stop()
+        # Of a scheduler that stands still nobody can ask anything; workers end what nobody asks for.
+        within_s = CLOSE_S if self._watch.silent_s < LOOK_S + HEARD_S else HURRY_S
+        if not self._watch.stop(within_s):
+            within_s = HURRY_S
         if self._client.status == "running":
             workers = list(self._workers)
-            self._cancel(each for worker in self._workers.values() for each in worker.given.values())
-            self._watch.end(workers)
-
-    def _close(self) -> None:
-        with suppress(Exception):  # of a scheduler that is gone
-            self._client.close(timeout=CLOSE_S)
+            given = [each.future for worker in self._workers.values() for each in worker.given.values()]
+            self._cancel([*given, *self._demand], within_s)
+            self._watch.end(workers, within_s)
 
     def results(self, runs: Iterable[int], go_on: GoOn) -> Iterator[T]:
         """What came of `runs`, in whatever order they end, until all are done or `go_on` says no.
@@ -172,17 +173,29 @@ class Cluster(Generic[T]):
         """
         waiting = deque(runs)
         alone_s = time.monotonic()
+        told_s = 0.0
         while go_on():
             yield from self._look(waiting)
             if not waiting and not any(worker.given for worker in self._workers.values()):
                 return
             if self._workers:
-                alone_s = time.monotonic()
+                alone_s, told_s = time.monotonic(), 0.0
             else:
-                self._refuse_nobody(time.monotonic() - alone_s)
+                waited_s = time.monotonic() - alone_s
+                self._refuse_nobody(waited_s)
+                if waited_s > told_s + WAITS_S and isfinite(self._patience_s):
+                    told_s = waited_s
+                    self._say(
+                        f"there is no worker at {self.name} yet: waiting for one since {waited_s:.0f} s, "
+                        f"for {self._patience_s:.0f} s at most"
+                    )
             self._give(waiting)
+            self._ask_for(len(waiting))
             for given in self._done():
+                before = self._ended.qsize()
                 yield from self._take(given, waiting)
+                if self._ended.qsize() > before:
+                    break  # it could not be had: whether the scheduler is gone is seen first
 
     # ------------------------------------------------------------------ workers
 
@@ -193,32 +206,39 @@ class Cluster(Generic[T]):
             raise EngineLost(f"the scheduler {self.name} is gone")
         for text in self._watch.said():
             self._say(text)
-        before = sum(worker.threads for worker in self._workers.values())
+        before = self._at_work()
         for address, worker in list(self._workers.items()):
             there = seen.workers.get(address)
             if there is None or there.process != worker.process:
                 yield from self._lost(address, waiting)
         for address, there in self._watch.usable():
             self._workers.setdefault(address, _Worker(there.threads, there.process))
-        now = sum(worker.threads for worker in self._workers.values())
+        now = self._at_work()
         if now != before:
-            self._count(now)
+            self._count(*now)
+
+    def _at_work(self) -> tuple[int, int]:
+        """How many runs are driven at a time, and on how many workers."""
+        return sum(worker.threads for worker in self._workers.values()), len(self._workers)
 
     def _lost(self, address: str, waiting: deque[int]) -> Iterator[T]:
         """Has what a worker had driven again elsewhere, but for what has died with too many."""
         worker = self._workers.pop(address)
         blamed = {given.run for given in worker.under_way}
-        self._say(f"the worker {address} is gone; {_runs(len(worker.given))} driven again elsewhere")
-        self._cancel(worker.given.values())
+        self._cancel(given.future for given in worker.given.values())
+        again, rows = 0, list[T]()
         for given in reversed(worker.given.values()):
             if given.run in blamed:
                 deaths = self._deaths.setdefault(given.run, [])
                 deaths.append(address)
                 if len(deaths) >= DEATHS_MAX:
                     reason = f"the workers that drove it died: {', '.join(deaths)}"
-                    yield self._work.unfinished(given.run, reason, 0.0, timed_out=False)
+                    rows.append(self._work.unfinished(given.run, reason, 0.0, timed_out=False))
                     continue
             waiting.appendleft(given.run)
+            again += 1
+        self._say(f"the worker {address} is gone{f'; {_runs(again)} driven again elsewhere' * bool(again)}")
+        yield from rows
 
     def _refuse_nobody(self, waited_s: float) -> None:
         """Raises where there is no worker, and none to be waited for."""
@@ -229,7 +249,10 @@ class Cluster(Generic[T]):
         if seen.refused >= max(1, self._expects()) and not seen.unknown:
             raise kind(f"no worker of {self.name} can be used; each has another installation than this one")
         if waited_s > self._patience_s:
-            raise kind(f"there is no worker at {self.name}: none has come within {self._patience_s:.0f} s")
+            raise kind(
+                f"there is no worker at {self.name}: none has come within {self._patience_s:.0f} s "
+                "(--cluster-wait, or cluster_wait in Python, waits longer)"
+            )
 
     # ------------------------------------------------------------------ runs
 
@@ -245,9 +268,30 @@ class Cluster(Generic[T]):
                         break
                     self._submit(waiting.popleft(), address, worker)
 
+    def _ask_for(self, waiting: int) -> None:
+        """Has the scheduler know how many runs wait here: an adaptive cluster grows by what it knows of.
+
+        It is told by tasks that no worker can take, for that nobody has what they need. Given to no worker,
+        they are also there while there is none, when no run can be given.
+        """
+        wanted = min(waiting, DEMAND_MAX)
+        for future in self._demand[wanted:]:
+            future.release()
+        del self._demand[wanted:]
+        if wanted > len(self._demand):
+            self._keys += 1
+            keys = [self._key(f"waits-{self._keys}-{k}") for k in range(len(self._demand), wanted)]
+            self._demand += self._client.map(
+                int, range(len(keys)), key=keys, resources={NOBODY_HAS: 1}, pure=False
+            )
+
+    def _key(self, rest: str) -> str:
+        """The name of a task, which tells Dask that all of a campaign take about as long."""
+        return f"handfast-{self._campaign}-{rest}"
+
     def _submit(self, run: int, address: str, worker: _Worker) -> None:
         self._keys += 1
-        key = f"handfast-{self._campaign}-{run}-{self._keys}"
+        key = self._key(f"{run}-{self._keys}")
         future = self._client.submit(
             remote(MODULE, "drive"), self._campaign, run, key=key, workers=[address], pure=False
         )
@@ -299,14 +343,13 @@ class Cluster(Generic[T]):
     def _refuse(self, address: str, why: str, waiting: deque[int]) -> None:
         """Gives a worker nothing any more."""
         worker = self._workers.pop(address)
-        self._cancel(worker.given.values())
+        self._cancel(given.future for given in worker.given.values())
         waiting.extendleft(given.run for given in reversed(worker.given.values()))
         self._watch.refuse(address, why)
 
-    def _cancel(self, given: Iterable[_Given]) -> None:
-        futures = [each.future for each in given]
+    def _cancel(self, futures: Iterable[Any], within_s: float = CLOSE_S) -> None:
         with suppress(Exception):  # the scheduler may be gone, which shows
-            self._client.sync(self._client._cancel, futures, force=True, callback_timeout=CLOSE_S)
+            self._client.sync(self._client._cancel, list(futures), force=True, callback_timeout=within_s)
 
 
 @contextmanager

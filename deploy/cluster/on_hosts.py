@@ -20,11 +20,12 @@ from typing import Final, Generic, TypeVar
 import dask
 import distributed
 
+from agent.common.errors import Error
 from agent.common.wording import printable
 from agent.fleet.loading import load_fleet
 from deploy.cluster import worker_on_host
+from deploy.cluster.connection import ClusterError
 from deploy.cluster.engine import Cluster, Say
-from deploy.cluster.watch import ClusterError
 from deploy.cluster.worker_process import security
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import WORKER_REQUIREMENTS
@@ -63,15 +64,19 @@ class HostsCluster(Generic[T]):
         *,
         files: Mapping[str, bytes],
         say: Say,
-        count: Callable[[int], None] = lambda _: None,
+        count: Callable[[int, int], None] = lambda _runs, _workers: None,
+        go_on: GoOn = lambda: True,
     ) -> None:
-        self._fleet = load_fleet(fleet_path(fleet))
+        try:
+            self._fleet = load_fleet(fleet_path(fleet))
+        except Error as error:
+            raise ClusterError(f"--cluster ssh:{printable(fleet)}: {error}") from None
         if not self._fleet.hosts:
             raise ClusterError(
                 f"--cluster ssh:{fleet}: the fleet has no hosts: write [host.NAME] for each computer"
             )
         self._name, self._work, self._timeout_s = fleet, work, timeout_s
-        self._files, self._say, self._count = files, say, count
+        self._files, self._say, self._count, self._wanted = files, say, count, go_on
         self._stop = threading.Event()
 
     def __enter__(self) -> HostsCluster[T]:
@@ -96,7 +101,7 @@ class HostsCluster(Generic[T]):
             cluster = Cluster(
                 f"tls://127.0.0.1:{self._port}", self._work, self._timeout_s, files=self._files,
                 say=self._say, count=self._count, security=trust, broken=self._broken,
-                expects=self._expected, patience_s=inf, name=f"ssh:{self._name}",
+                expects=self._expected, patience_s=inf, name=f"ssh:{self._name}", go_on=self._wanted,
             )  # fmt: skip
             self._cluster = stack.enter_context(cluster)
             self._left = stack.pop_all()

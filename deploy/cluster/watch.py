@@ -12,18 +12,19 @@ import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 from distributed.comm.core import CommClosedError
 
-from agent.common.errors import Error
 from agent.common.wording import printable
+from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, error_line, patiently
 from deploy.cluster.identity import differences, identity
 from deploy.cluster.on_worker import PROCESS
+from deploy.simulate.worker_pool import GoOn
 
 LOOK_S: Final = 1.0
 """How often it is looked which workers there are."""
-CLOSE_S: Final = 5.0
 ASK_S: Final = 10.0
 """So long one question to the scheduler or a worker may take."""
 KEEP_S: Final = 15.0
@@ -32,10 +33,6 @@ KEEP_S: Final = 15.0
 UNREACHED: Final = (TimeoutError, ConnectionError, CommClosedError, KeyError)
 """What a worker raises that is on its way here or away: it is asked again."""
 MODULE: Final = "deploy.cluster.on_worker"
-
-
-class ClusterError(Error):
-    """The cluster cannot be used; the text is one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,25 +62,39 @@ class Watch:
     """
 
     def __init__(
-        self, client: Any, campaign: str, data: bytes, files: Mapping[str, bytes], timeout_s: float
+        self,
+        client: Any,
+        campaign: str,
+        data: bytes,
+        files: Mapping[str, bytes],
+        timeout_s: float,
+        go_on: GoOn = lambda: True,
     ) -> None:
         self._client = client
         self._campaign = campaign
         self._told = (campaign, data, files, timeout_s)
         self._refused: dict[str, str] = {}
+        self._names: dict[str, str] = {}
         self._forgotten: set[str] = set()
         self._ask_at_s: dict[str, float] = {}
         self._said: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._kept_s = time.monotonic()
-        self._refuse_scheduler()
+        self._refuse_scheduler(go_on)
         self.seen = Seen(time.monotonic(), {}, 0, 1)
         self._thread = threading.Thread(target=self._run, name="cluster", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
+    def stop(self, within_s: float = CLOSE_S) -> bool:
+        """Looks no more; whether it has ended already: else it waits for an answer."""
         self._stop.set()
-        self._thread.join(CLOSE_S)
+        self._thread.join(within_s)
+        return not self._thread.is_alive()
+
+    @property
+    def silent_s(self) -> float:
+        """For how long the scheduler has said nothing."""
+        return time.monotonic() - self.seen.at_s
 
     def said(self) -> Iterator[str]:
         """What a person should know, since it was asked last."""
@@ -100,21 +111,26 @@ class Watch:
     def refuse(self, address: str, why: str) -> None:
         """From now on a worker does not count as there."""
         self._refused[address] = why
-        self._said.put(f"the worker {address} is given nothing: {why}")
+        name = self._names.get(address, address)
+        called = f" ({printable(name)})" if name != address else ""
+        self._said.put(f"the worker {address}{called} is given nothing: {why}")
 
     def forget(self, address: str) -> None:
         """A worker is another process than it was: it is looked at as a new one."""
         self._forgotten.add(address)
 
-    def end(self, workers: Sequence[str]) -> None:
+    def end(self, workers: Sequence[str], within_s: float = ASK_S) -> None:
         """Has these workers forget the campaign."""
         with suppress(Exception):  # who is not reached forgets it by itself
-            self._ask(workers, "end", self._campaign)
+            self._ask(workers, "end", self._campaign, within_s=within_s)
 
-    def _refuse_scheduler(self) -> None:
+    def _refuse_scheduler(self, go_on: GoOn) -> None:
         """`ClusterError` where the scheduler's Python is another: what is sent to it would not be read."""
+        ask = partial(self._client.scheduler.versions, packages=[])
         try:
-            about = self._client.sync(self._client.scheduler.versions, packages=[], callback_timeout=ASK_S)
+            about = self._client.sync(patiently, ask, ASK_S, go_on)
+        except GivenUp:
+            raise
         except Exception as error:
             raise ClusterError(f"the scheduler does not answer: {error_line(error)}") from None
         there, here = _python(about), identity()["Python"]
@@ -147,6 +163,7 @@ class Watch:
             and self._ask_at_s.get(address, 0.0) <= now_s
         ]  # fmt: skip
         if strangers:
+            self._learn_names()
             self._ask_at_s |= dict.fromkeys(strangers, now_s + ASK_S)
             accepted = self._accepted(strangers)
             known |= {address: There(threads[address], process) for address, process in accepted.items()}
@@ -160,6 +177,13 @@ class Watch:
     def _show(self, at_s: float, threads: Mapping[str, int], known: Mapping[str, There]) -> None:
         refused = sum(address in self._refused for address in threads)
         self.seen = Seen(at_s, dict(known), refused, len(threads) - refused - len(known))
+
+    def _learn_names(self) -> None:
+        """Takes note of what workers are called, by whoever started them."""
+        with suppress(Exception):  # a name only helps
+            ask = partial(self._client.scheduler.identity, n_workers=-1)
+            workers = self._client.sync(ask, callback_timeout=ASK_S)["workers"]
+            self._names |= {address: str(about["name"]) for address, about in workers.items()}
 
     def _accepted(self, addresses: Sequence[str]) -> dict[str, str]:
         """Of these workers those that have the same installation, and now know of the campaign; by address
@@ -194,7 +218,9 @@ class Watch:
         found = await self._client.scheduler.broadcast(msg=message, workers=[address], on_error="ignore")
         return found.get(address)
 
-    def _ask(self, workers: Sequence[str], name: str, *arguments: Any) -> dict[str, Any]:
+    def _ask(
+        self, workers: Sequence[str], name: str, *arguments: Any, within_s: float = ASK_S
+    ) -> dict[str, Any]:
         """What a function of `on_worker` gives on each of these workers, or the exception that it raises."""
 
         async def ask(address: str) -> Any:
@@ -203,21 +229,24 @@ class Watch:
             )
             return found[address]
 
-        return self._each(workers, ask)
+        return self._each(workers, ask, within_s)
 
-    def _each(self, workers: Sequence[str], ask: Callable[[str], Awaitable[Any]]) -> dict[str, Any]:
+    def _each(
+        self, workers: Sequence[str], ask: Callable[[str], Awaitable[Any]], within_s: float = ASK_S
+    ) -> dict[str, Any]:
         """What each of these workers answers, or an exception; asked side by side, not for long."""
 
         async def one(address: str) -> Any:
             try:
-                return await asyncio.wait_for(ask(address), ASK_S)
+                return await asyncio.wait_for(ask(address), min(within_s, ASK_S))
             except Exception as error:
                 return error
 
         async def every() -> list[Any]:
             return await asyncio.gather(*map(one, workers))
 
-        return dict(zip(workers, self._client.sync(every), strict=True))
+        found = self._client.sync(every, callback_timeout=within_s + CLOSE_S)
+        return dict(zip(workers, found, strict=True))
 
 
 def remote(module: str, name: str) -> Callable[..., Any]:
@@ -236,7 +265,3 @@ def remote(module: str, name: str) -> Callable[..., Any]:
 
 def _python(about: Mapping[str, Any]) -> str:
     return ".".join(str(about["host"]["python"]).split(".")[:2])
-
-
-def error_line(error: BaseException) -> str:
-    return printable(" ".join(f"{type(error).__name__}: {error}".split())[:300])

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.common.errors import Error
+from agent.common.quantities import seconds
 from agent.common.wording import did_you_mean, show
 from agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet.model import Fleet
@@ -191,12 +192,36 @@ def engine_arguments(parser: argparse.ArgumentParser, what: str) -> None:
         help="drive on other machines: tcp://HOST:PORT or tls://HOST:PORT of a Dask scheduler, its "
         "scheduler file, or ssh:FLEET for a fleet's hosts (default: on this machine)",
     )
+    parser.add_argument(
+        "--cluster-wait",
+        metavar="TIME",
+        help="so long a cluster that has no worker is waited for (default: 1min)",
+    )
 
 
 def refuse_jobs(options: argparse.Namespace) -> None:
     """`InputError` where ``--jobs`` is given with ``--cluster``."""
     if options.cluster is not None and options.jobs is not None:
         raise InputError("--jobs is of this machine, a cluster's workers say it themselves: leave one out")
+
+
+def cluster_wait_s(options: argparse.Namespace) -> float | None:
+    """``--cluster-wait``, None where it is not given.
+
+    Raises:
+        InputError: it is no time, or there is nothing to wait for.
+    """
+    if options.cluster_wait is None:
+        return None
+    if options.cluster is None or options.cluster.startswith("ssh:"):
+        raise InputError("--cluster-wait is of a Dask scheduler that --cluster names: leave it out")
+    try:
+        wait_s = seconds(options.cluster_wait)
+    except ValueError as error:
+        raise InputError(f"--cluster-wait {error}") from None
+    if wait_s <= 0.0:
+        raise InputError(f"--cluster-wait must be more than 0 s, got {show(options.cluster_wait)}")
+    return wait_s
 
 
 def host_argument(parser: argparse.ArgumentParser) -> None:

@@ -16,11 +16,11 @@ FEW: Final = 20
 wrong."""
 ALIKE_MAX: Final = 3
 """So many texts that differ in nothing but numbers are said one by one; more are one text."""
-_ROBOTS: Final = r"\brobots? (?P<ids>\d+(?:, \d+)*(?: and \d+)?\b)(?! more|[.:]\d)"
-_NUMBER: Final = r"(?<![\w.:/-])-?\d+(?:\.\d+)?(?![\w/-]|[.:]\d)"
-_PART: Final = re.compile(f"{_ROBOTS}|{_NUMBER}")
-"""What texts that are alike may differ in: names of robots, and numbers that stand alone (no time of day, no
-address)."""
+_ROBOTS: Final = r"\b[Rr]obots? (?P<ids>\d+(?:, \d+)*(?: and \d+)?\b)(?! more|[.:]\d)"
+NUMBER: Final = r"(?<![\w.:/-])-?\d+(?:\.\d+)?(?![\w/-]|[.:]\d)"
+"""A number that stands alone: no time of day, no address."""
+_PART: Final = re.compile(f"{_ROBOTS}|{NUMBER}")
+"""What texts that are alike may differ in: names of robots, and numbers that stand alone."""
 
 
 def robots(ids: Iterable[Any]) -> str:
@@ -94,7 +94,8 @@ def _in_one(texts: Sequence[str]) -> str:
 def _spanned(parts: Sequence[re.Match[str]]) -> str:
     """What stands at one place of texts that are alike: all robots that do, or the least and the greatest."""
     if parts[0]["ids"]:
-        return robots(sorted({int(number) for part in parts for number in re.findall(r"\d+", part["ids"])}))
+        named = robots(sorted({int(number) for part in parts for number in re.findall(r"\d+", part["ids"])}))
+        return named.capitalize() if parts[0][0][0] == "R" else named
     numbers = sorted((part[0] for part in parts), key=float)
     return numbers[0] if numbers[0] == numbers[-1] else f"{numbers[0]} to {numbers[-1]}"
 

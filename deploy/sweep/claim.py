@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, Context
 from math import exp, lgamma, log
 from typing import Any, Final
 
 import numpy as np
 
-from deploy.console.wording import grouped
+from deploy.sweep.kinds_of_reasons import LETTERED, kinds_of_reasons
 from deploy.sweep.plan import Plan
 from deploy.sweep.run import CRASHED, TIMED_OUT, Row
 from deploy.sweep.summary import Share, share_json
@@ -70,8 +71,8 @@ def make_claim(plan: Plan, rows: Mapping[int, Row]) -> Claim:
     unsafe = sum(row.safe is False for row in every)
     unfinished = sum(row.verdict in (CRASHED, TIMED_OUT) for row in every)
     not_safe = sum(row.safe is not True for row in every)
-    left = [(row.reason or "no reason was found", row.run) for row in every if row.settled is not True]
-    reasons = sorted(((text, len(runs)) for text, runs in grouped(left)), key=lambda pair: -pair[1])
+    left = [row.reason or "no reason was found" for row in every if row.settled is not True]
+    reasons = sorted(kinds_of_reasons(left), key=lambda pair: -pair[1])
     return Claim(
         len(every),
         unsafe,
@@ -87,7 +88,7 @@ def claim_json(claim: Claim) -> dict[str, Any]:
     return {
         "unsafe": claim.unsafe,
         "unfinished": claim.unfinished,
-        "unsafe_share_upper_95": float(f"{claim.upper:.6g}"),
+        "unsafe_share_upper_95": float(_up(claim.upper, 6)),
         "settled": share_json(claim.settled),
         "not_settled": [{"reason": reason, "runs": count} for reason, count in claim.reasons],
     }
@@ -98,8 +99,8 @@ def claim_lines(claim: Claim) -> list[str]:
     low, high = claim.settled.interval
     unknown = f" and {claim.unfinished} not finished, counted as unsafe" if claim.unfinished else ""
     lines = [
-        f"{claim.runs} runs, {claim.unsafe} unsafe{unknown}: with 95 % confidence at most "
-        f"{_percent(claim.upper)} of such runs are unsafe (Clopper-Pearson)",
+        f"{_runs(claim.runs)}, {claim.unsafe} unsafe{unknown}: with 95 % confidence at most "
+        f"{_up(100.0 * claim.upper, 3)} % of such runs are unsafe (Clopper-Pearson)",
         f"settled: {claim.settled.count} of {claim.runs}, {_percent(claim.settled.share)} "
         f"({_percent(low)} to {_percent(high)} with 95 % confidence)",
     ]
@@ -108,6 +109,8 @@ def claim_lines(claim: Claim) -> list[str]:
     if len(claim.reasons) > REASONS_SHOWN:
         more = sum(count for _, count in claim.reasons[REASONS_SHOWN:])
         lines.append(f"  {more} for other reasons, all in summary.json")
+    if any(LETTERED.search(reason) for reason, _ in claim.reasons[:REASONS_SHOWN]):
+        lines.append("  (A, B and so on are robots, others from run to run)")
     return lines
 
 
@@ -122,7 +125,8 @@ def cost_line(plan: Plan, rows: Sequence[Row]) -> str:
     cpu_s = sum(row.cpu_s for row in known)
     robots_s = sum(_robot_seconds(plan, row.run) for row in known)
     return (
-        f"{len(known)} runs driven now took {cpu_s:.0f} CPU seconds for {robots_s:.0f} robot-seconds: "
+        f"{_runs(len(known))} driven now took {_amount(cpu_s)} CPU seconds for "
+        f"{_amount(robots_s)} robot-seconds: "
         f"{robots_s / cpu_s:.1f} per core-second"
     )
 
@@ -133,6 +137,20 @@ def _robot_seconds(plan: Plan, run: int) -> float:
     ranges = {each.field for each in plan.ranges}
     duration_s = float(drawn["fleet.duration_s"]) if "fleet.duration_s" in ranges else fleet.fleet.duration_s
     return len(fleet.robots) * duration_s
+
+
+def _runs(count: int) -> str:
+    return f"{count} run{'s' * (count != 1)}"
+
+
+def _amount(value: float) -> str:
+    """A number with three digits, or all of those before its point."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def _up(value: float, digits: int) -> str:
+    """A bound with so many digits, rounded up: a smaller number would be none."""
+    return f"{Context(prec=digits, rounding=ROUND_CEILING).create_decimal_from_float(value).normalize():f}"
 
 
 def _percent(share: float) -> str:

@@ -24,9 +24,10 @@ from matplotlib.patches import Rectangle
 
 from agent.formation.points import Floats
 from deploy.report.plotting import INK, PALETTE, RED, new_figure, write
-from deploy.sweep.plan import Axis, Plan, Range
+from deploy.sweep.plan import Plan
 from deploy.sweep.run import Row
 from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
+from deploy.sweep.varied import Axis, Range
 
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""

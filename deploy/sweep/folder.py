@@ -20,10 +20,12 @@ from typing import Any, Final
 
 import tomli_w
 
+from agent.common.wording import printable
 from agent.runtime.version import handfast_version
 from deploy.recording.run_files import FLEET_FILE
-from deploy.sweep.plan import Axis, Plan, Question, Range, SweepError, parse_over
+from deploy.sweep.plan import Plan, Question
 from deploy.sweep.run import Row
+from deploy.sweep.varied import Axis, Range, SweepError, parse_over
 from deploy.verdict.metrics import columns
 
 FORMAT: Final = 1
@@ -46,6 +48,8 @@ class SweepFolder:
         self.path, self.plan = path, plan
         self.rows: dict[int, Row] = {}
         self._results = path / RESULTS_FILE
+        if path.exists() and not path.is_dir():
+            raise SweepError(f"{path} is a file: name a folder, new or of a sweep that goes on, with --out")
         try:
             path.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(path, os.O_RDONLY)
@@ -106,7 +110,7 @@ class SweepFolder:
         """Makes the folder this sweep's, unless it is that already."""
         asked, known = _asked(question, self.plan), self.path / SWEEP_FILE
         if known.exists():
-            _compare(self.path, _read_toml(known), asked)
+            _compare(self.path, _read_toml(known), asked, self.plan.cells[0].fleet.name)
             return
         if any(self.path.iterdir()):
             raise SweepError(
@@ -276,8 +280,8 @@ _WORDED: Final = {
 }
 
 
-def _compare(path: Path, there: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Refuses a folder whose runs would be others."""
+def _compare(path: Path, there: dict[str, Any], asked: dict[str, Any], fleet: str) -> None:
+    """Refuses a folder whose runs would be others; `fleet` is the name of what is asked for."""
     differs = [
         name
         for name in ("format", "handfast", "over", "repeat", "seed", "random_starts_m")
@@ -285,18 +289,32 @@ def _compare(path: Path, there: dict[str, Any], asked: dict[str, Any]) -> None:
     ]
     if there.get("fleet_digest") != asked["fleet_digest"]:
         differs += [name for name in ("law", "set") if there.get(name) != asked.get(name)]
-    if differs:
-        said = [
-            f"{_WORDED[name]} is {_show(asked.get(name))}, was {_show(there.get(name))}" for name in differs
-        ]
-    elif there.get("fleet_digest") != asked["fleet_digest"]:
+    renamed = any("fleet.name" in str(each) for each in (there.get("set"), asked.get("set")))
+    before = None if renamed else _fleet_name(path)
+    said = [f"the fleet is {fleet}, was {before}"] if before not in (None, fleet) else []
+    said += [f"{_WORDED[name]} is {_show(asked.get(name))}, was {_show(there.get(name))}" for name in differs]
+    if there.get("fleet_digest") == asked["fleet_digest"] and not differs:
+        if there.get("runs", asked["runs"]) == asked["runs"]:
+            return
+        raise SweepError(
+            f"{path / SWEEP_FILE} has been changed: what it asks makes {asked['runs']} runs, and it says "
+            f"runs = {_show(there['runs'])}. Undo that, or ask for another sweep in another folder"
+        )
+    if not said:
         said = ["the fleet file is another one, or has been changed"]
-    else:
-        return
     raise SweepError(
         f"{path} holds another sweep: {'; '.join(said)}. Name another folder with --out, or go on with "
         f"that one: handfast sweep {path}"
     )
+
+
+def _fleet_name(path: Path) -> str | None:
+    """The name of the fleet whose sweep a folder holds, None where its file does not say."""
+    try:
+        table = tomllib.loads((path / FLEET_FILE).read_text(encoding="utf-8"))["fleet"]
+        return printable(str(table["name"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _show(value: object) -> str:

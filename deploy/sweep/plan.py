@@ -11,19 +11,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from itertools import chain, product
-from math import isfinite, prod, sqrt
+from math import prod, sqrt
 from typing import Any, Final
 
 from agent.common import random_streams
-from agent.common.errors import Error
-from agent.common.quantities import UNITS, quantity
 from agent.common.reader import Problem
-from agent.common.settings import entries
 from agent.common.wording import printable, show
 from agent.fleet.loading import digest, parse_fleet, to_dict
 from agent.fleet.model import Fleet, FleetError
 from agent.formation.geometry import resolved
 from deploy.simulate.random_starts import random_fleet
+from deploy.sweep.varied import Axis, Range, SweepError, entry_of, parse_over
 
 RUNS_MAX: Final = 1_000_000
 RANGES_MAX: Final = 6
@@ -34,175 +32,6 @@ GAP_M: Final = 0.3
 GAP_PER_SAFE: Final = 1.25
 """Random starts are at least this times the safe distance apart (and `GAP_M`)."""
 _SEED_SHIFT: Final = 11  # seeds of 53 bits: every program that reads the table holds them exactly
-_BRACKETS: Final = {"[": "]", "{": "}"}
-
-
-class SweepError(Error, ValueError):
-    """A sweep that cannot be made; the text is one clear message."""
-
-
-@dataclass(frozen=True, slots=True)
-class Axis:
-    """One field that is varied, with its values as they were typed.
-
-    Numbers are in ascending order; `numbers` are the values in the field's unit, None where one of them
-    is no number. `unit` is that unit, empty without one.
-    """
-
-    field: str
-    values: tuple[str, ...]
-    numbers: tuple[float, ...] | None
-    unit: str
-
-    def __str__(self) -> str:
-        return f"{self.field}={','.join(self.values)}"
-
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """One field that every run draws, uniform between two numbers in the field's unit.
-
-    `text` is the range as it was typed; `unit` that unit, empty without one.
-    """
-
-    field: str
-    low: float
-    high: float
-    unit: str
-    text: str
-
-    def __str__(self) -> str:
-        return f"{self.field}={self.text}"
-
-    def value(self, seed: int) -> str:
-        """What the run with this `fleet.seed` draws, as a plain number; nothing else is drawn with it."""
-        share = random_streams.uniform(random_streams.stream("sweep", seed, self.field), 0)
-        return _plain(self.low + (self.high - self.low) * share)
-
-    @property
-    def ends(self) -> tuple[str, str]:
-        """The least and the greatest that may be drawn."""
-        return _plain(self.low), _plain(self.high)
-
-
-def _plain(number: float) -> str:
-    """A number with six digits, as every program reads it."""
-    return f"{number:.6g}"
-
-
-def parse_over(text: str) -> Axis | Range:
-    """Reads one ``--over``: values (`parse_axis`), or a range ``table.field=low..high``, whose unit may stand
-    behind its end alone.
-
-    Raises:
-        SweepError: it is neither.
-    """
-    path, _, written = text.partition("=")
-    low, dots, high = (part.strip() for part in written.partition(".."))
-    if not dots or not low or not high:
-        return parse_axis(text)
-    keys = [key.strip() for key in path.split(".")]
-    if number(low, "") is not None:
-        low += high.lstrip("+-.0123456789eE")  # 10..50% is 10 % to 50 %
-    numbers, unit = _numbers(keys, (low, high))
-    if numbers is None:
-        return parse_axis(text)
-    name = parse_axis(f"{path}={low}").field
-    if not numbers[0] < numbers[1]:
-        raise SweepError(f"--over {printable(text)}: the range must begin below its end, such as 0..1.4s")
-    return Range(name, numbers[0], numbers[1], unit, written.strip())
-
-
-def parse_axis(text: str) -> Axis:
-    """Reads one ``--over``: ``table.field=value,value,...``, split at commas outside quotes and brackets.
-
-    Raises:
-        SweepError: it is not of that form, or gives a value twice.
-    """
-    path, equals, written = text.partition("=")
-    keys = [key.strip() for key in path.split(".")]
-    name = ".".join(keys)
-    if not equals or len(keys) < 2 or not all(keys):
-        raise SweepError(
-            f"--over {printable(text)}: must be written as table.field=value,value, "
-            "such as control.kp=0.5,1,2 or faults.delay=0,50ms,100ms, or drawn: faults.delay=0..1.4s"
-        )
-    if name == "fleet.seed":
-        raise SweepError(
-            "--over fleet.seed: every run has a seed of its own already, made of --seed and its repeat: "
-            f"write for example --repeat {len(_split(written))}"
-        )
-    values = [value.strip() for value in _split(written)]
-    if not all(values):
-        raise SweepError(f"--over {printable(text)}: a value is missing between two commas or at an end")
-    numbers, unit = _numbers(keys, values)
-    if numbers is not None:
-        order = sorted(range(len(values)), key=numbers.__getitem__)
-        values, numbers = [values[k] for k in order], [numbers[k] for k in order]
-    same: dict[object, str] = {}
-    for value, meaning in zip(values, values if numbers is None else numbers, strict=True):
-        if meaning in same:
-            first = same[meaning]
-            again = f"{value} twice" if first == value else f"{first} and {value}, which are the same"
-            raise SweepError(f"--over {name}: gives {printable(again)}")
-        same[meaning] = value
-    return Axis(name, tuple(values), None if numbers is None else tuple(numbers), unit)
-
-
-def _split(text: str) -> list[str]:
-    parts, closing, start = [], "", 0
-    for index, letter in enumerate(text):
-        if closing and closing[-1] in "\"'":
-            closing = closing[:-1] if letter == closing[-1] else closing
-        elif letter in "\"'":
-            closing += letter
-        elif letter in _BRACKETS:
-            closing += _BRACKETS[letter]
-        elif closing and letter == closing[-1]:
-            closing = closing[:-1]
-        elif letter == "," and not closing:
-            parts.append(text[start:index])
-            start = index + 1
-    return [*parts, text[start:]]
-
-
-def _numbers(keys: Sequence[str], values: Sequence[str]) -> tuple[list[float] | None, str]:
-    """The values as numbers of one unit, and that unit."""
-    unit = _unit(keys)
-    # A value class of its own, such as a delay, has no unit: the suffixes say which it is.
-    for each in [unit] if unit else UNITS:
-        found = [number(value, each) for value in values]
-        numbers = [value for value in found if value is not None]
-        if len(numbers) == len(values):
-            bare = not unit and all(number(value, "") is not None for value in values)
-            return numbers, "" if bare else each
-    return None, ""
-
-
-def number(text: str, unit: str) -> float | None:
-    """The number that a value such as ``50ms`` is in `unit`, None when it is no such number."""
-    text = text.strip().strip("\"'")
-    try:
-        value = quantity(text, unit) if unit in UNITS else float(text)
-    except ValueError:
-        return None
-    return value if isfinite(value) else None
-
-
-def _unit(keys: Sequence[str]) -> str:
-    """Unit of a field of the fleet file, empty when it has none."""
-    model: type | None = Fleet
-    rest = list(keys)
-    while rest and model is not None:
-        entry = entries(model).get(rest.pop(0))
-        if entry is None:
-            return ""
-        if not rest:
-            return entry.setting.unit or ""
-        if entry.tables is not None:
-            rest = rest[1:]  # which entry of the array
-        model = entry.table or entry.tables
-    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,6 +195,7 @@ def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
         SweepError: what is asked contradicts itself.
     """
     _refuse_contradictions(question)
+    question = replace(question, ranges=_settled(question, recorded=recorded_digest is not None))
     bounds = [Axis(each.field, each.ends, None, "") for each in question.ranges]
     found = _Problems((*question.axes, *bounds))
     cells: list[Fleet] = []
@@ -416,6 +246,33 @@ def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
         tuple(texts),
         tuple(extremes),
     )
+
+
+def _settled(question: Question, *, recorded: bool) -> tuple[Range, ...]:
+    """What is drawn, looked at once more where a field is of a plugin's table: what that is, only the fleet
+    says which names the plugin.
+
+    Raises:
+        SweepError: no such range can be of the field.
+    """
+    if all(entry_of(each.field.split(".")) is not None for each in question.ranges):
+        return question.ranges
+    given = [f"{axis.field}={axis.values[0]}" for axis in question.axes]
+    given += [f"{each.field}={each.ends[0]}" for each in question.ranges]
+    try:
+        fleet = parse_fleet(
+            question.text,
+            source=question.source,
+            overrides=[*question.overrides, *given],
+            law=question.law,
+            recorded=recorded,
+        )
+    except FleetError:
+        return question.ranges  # which make_plan says with all the rest
+    held = [section for holder in (fleet.control, *fleet.robots) for section in holder.sections]
+    sections = {name: type(model) for name, model in held}
+    again = (parse_over(str(each), sections) for each in question.ranges)
+    return tuple(each for each in again if isinstance(each, Range))
 
 
 def _written(fleet: Fleet) -> str:

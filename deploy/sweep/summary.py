@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from math import ceil, floor, inf, isfinite, sqrt
 from typing import Any, Final
 
-from deploy.sweep.plan import Axis, Plan, SweepError
+from deploy.sweep.plan import Plan
 from deploy.sweep.run import CRASHED, TIMED_OUT, Row
+from deploy.sweep.varied import Axis, SweepError
 from deploy.verdict.metrics import Column, Metric, Picture, columns
 
 Z_95: Final = 1.959963984540054
@@ -191,6 +192,11 @@ def margin_axis(plan: Plan, wanted: str | None) -> int | None:
         if DEFAULT_MARGIN in numeric:
             return names.index(DEFAULT_MARGIN)
         return names.index(numeric[0]) if numeric else None
+    if wanted in (each.field for each in plan.ranges):
+        raise SweepError(
+            f"--margin {wanted}: every run draws it, so it has no margin: vary it over values instead, "
+            f"--over {wanted}=V,V,..."
+        )
     if wanted not in names:
         raise SweepError(f"--margin {wanted} is not varied: varied are {', '.join(names) or 'no fields'}")
     if wanted not in numeric:

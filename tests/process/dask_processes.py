@@ -70,7 +70,7 @@ class DaskProcesses:
         """``tcp://host:port`` of the scheduler."""
         return str(json.loads(self.file.read_text())["address"])
 
-    def add_worker(self, source: Path = ROOT) -> Path:
+    def add_worker(self, source: Path = ROOT, *more: str) -> Path:
         """Starts a worker, whose handfast may be that of another tree than the one under test; returns its
         log."""
         words = (
@@ -81,6 +81,7 @@ class DaskProcesses:
             "--no-dashboard",
             "--local-directory",
             str(self._folder),
+            *more,
         )
         self.workers.append(self._process("worker", *words, source=source))
         return self._log("worker")

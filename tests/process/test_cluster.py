@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cluster import engine
+from deploy.cluster import connection
+from deploy.cluster.connection import ClusterError
 from deploy.cluster.engine import Cluster
-from deploy.cluster.watch import ClusterError
 from tests.passing_law import PassingLaw
 from tests.process.dask_processes import DaskProcesses, changed_copy
 from tests.process.harness import Command, children, no_trouble, wait_for
@@ -174,7 +174,7 @@ def test_a_run_that_kills_its_worker_twice_and_one_that_hangs_are_results(dask: 
 
 def test_a_worker_with_other_sources_is_given_nothing(tmp_path: Path) -> None:
     with DaskProcesses(tmp_path / "dask", 0) as other:
-        other.add_worker(changed_copy(tmp_path / "changed"))
+        other.add_worker(changed_copy(tmp_path / "changed"), "--name", "other")
         told: list[str] = []
         with (
             Cluster(other.address, KillingWork(), 9.0, files={}, say=told.append) as cluster,
@@ -183,7 +183,8 @@ def test_a_worker_with_other_sources_is_given_nothing(tmp_path: Path) -> None:
             list(cluster.results([2], lambda: True))
         (text,) = told
         assert re.fullmatch(
-            r"the worker tcp://\S+ is given nothing: its sources of handfast are others \(\w+, here \w+\)",
+            r"the worker tcp://\S+ \(other\) is given nothing: its sources of handfast are others "
+            r"\(\w+, here \w+\)",
             text,
         )
         other.add_worker()
@@ -208,7 +209,7 @@ def test_what_is_no_cluster_is_one_line(tmp_path: Path, where: str, says: str) -
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "CONNECT_S", 0.3)
+    monkeypatch.setattr(connection, "CONNECT_S", 0.3)
     with (
         pytest.raises(ClusterError, match=r"^there is no scheduler at tcp://127\.0\.0\.1:1: [^\n]+$"),
         Cluster("tcp://127.0.0.1:1", KillingWork(), 9.0, files={}, say=print),

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import show
-from deploy.console.arguments import InputError, describe, engine_arguments, place_for, refuse_jobs
+from deploy.console.arguments import (
+    InputError,
+    cluster_wait_s,
+    describe,
+    engine_arguments,
+    place_for,
+    refuse_jobs,
+)
 
 if TYPE_CHECKING:
     from deploy.chaos.report import Driven
@@ -117,7 +124,10 @@ def chaos(options: argparse.Namespace) -> int:
         raise InputError("--routed belongs to --real: in virtual time there are no links")
     if options.cluster is not None and options.real:
         raise InputError("--cluster is for virtual time: with --real processes are on this machine")
+    if options.cluster is not None and options.write:
+        raise InputError("--cluster drives scenarios, and with --write none is driven: leave one out")
     refuse_jobs(options)
+    wait_s = cluster_wait_s(options)
     check_cluster(options.cluster)
     seeds = seeds_of(options.profile, options.seed, options.count)
     out = Path(options.out)
@@ -127,6 +137,10 @@ def chaos(options: argparse.Namespace) -> int:
     interrupt = Interrupt()
     left = set(seeds)
     lost = ""
+
+    def go_on() -> bool:
+        return interrupt.count == 0
+
     with interrupt.caught():
         progress = make_progress(sys.stderr, len(seeds), quiet=options.quiet, trouble="failed")
         with progress, ExitStack() as stack:
@@ -135,8 +149,10 @@ def chaos(options: argparse.Namespace) -> int:
                 results = real_results(seeds, out, interrupt, routed=options.routed)
             else:
                 work = Scenarios(options.shrink)
-                made = make_engine(options.cluster, work, jobs, TIMEOUT_S, progress)
-                results = stack.enter_context(made).results(seeds, lambda: interrupt.count == 0)
+                made = make_engine(
+                    options.cluster, work, jobs, TIMEOUT_S, progress, go_on=go_on, wait_s=wait_s
+                )
+                results = stack.enter_context(made).results(seeds, go_on)
             try:
                 for driven in results:
                     left.discard(driven.seed)

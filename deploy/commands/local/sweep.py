@@ -14,6 +14,7 @@ from agent.common.wording import printable
 from agent.fleet.model import FleetError
 from deploy.console.arguments import (
     change_arguments,
+    cluster_wait_s,
     describe,
     engine_arguments,
     fleet_path,
@@ -90,8 +91,9 @@ def sweep(options: argparse.Namespace) -> int:
     from deploy.inventory.folders import out_folder
     from deploy.simulate.worker_pool import EngineLost, cores
     from deploy.sweep.folder import SweepFolder, read_digest
-    from deploy.sweep.plan import SweepError, make_plan
+    from deploy.sweep.plan import make_plan
     from deploy.sweep.summary import margin_axis
+    from deploy.sweep.varied import SweepError
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -99,6 +101,7 @@ def sweep(options: argparse.Namespace) -> int:
         if jobs < 1:
             raise SweepError(f"--jobs must be at least 1, got {jobs}")
         refuse_jobs(options)
+        wait_s = cluster_wait_s(options)
         check_cluster(options.cluster)
         timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
         again, question = _question(options)
@@ -120,15 +123,18 @@ def sweep(options: argparse.Namespace) -> int:
                 raise lacking
             lost = ""
             try:
-                _drive(folder, jobs, timeout_s, interrupt, options)
+                _drive(folder, jobs, timeout_s, wait_s, interrupt, options)
             except EngineLost as error:
                 lost = str(error)
             if folder.missing:
                 done = plan.runs - len(folder.missing)
                 again_by = f"handfast sweep {path}" + f" --cluster {options.cluster}" * bool(options.cluster)
+                again_by += f" --cluster-wait {options.cluster_wait}" * bool(options.cluster_wait)
                 why = f"{lost}: " if lost else ""
+                are = "is" if plan.runs == 1 else "are"
                 print(
-                    f"{why}{done} of {plan.runs} runs are done and kept; go on with: {again_by}",
+                    f"{why}{done} of {_counted(plan.runs, 'run')} {are} done and kept; "
+                    f"go on with: {again_by}",
                     file=sys.stderr,
                 )
                 return FAILED if lost else INTERRUPTED
@@ -140,7 +146,8 @@ def sweep(options: argparse.Namespace) -> int:
 def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     """What is asked, and the folder of the sweep that asks it when one is gone on with."""
     from deploy.sweep.folder import SWEEP_FILE, read_question
-    from deploy.sweep.plan import Axis, Question, Range, SweepError, parse_over
+    from deploy.sweep.plan import Question
+    from deploy.sweep.varied import Axis, Range, SweepError, parse_over
 
     folder = Path(options.fleet)
     if folder.is_dir():
@@ -170,7 +177,7 @@ def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
 
 
 def _quantity(text: str, unit: str, option: str, example: str) -> float:
-    from deploy.sweep.plan import SweepError, number
+    from deploy.sweep.varied import SweepError, number
 
     value = number(text, unit)
     if value is None or value <= 0.0:
@@ -181,7 +188,7 @@ def _quantity(text: str, unit: str, option: str, example: str) -> float:
 def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
     """Says what `check` finds wrong in any cell; errors end the command unless an option says otherwise."""
     from deploy.check.check import check
-    from deploy.sweep.plan import SweepError
+    from deploy.sweep.varied import SweepError
 
     found: dict[tuple[str, str], tuple[str, list[int]]] = {}
     for cell in range(len(plan.cells)):
@@ -212,7 +219,7 @@ def _write(folder: SweepFolder, run: int) -> int:
     import tomli_w
 
     from agent.fleet.loading import to_dict
-    from deploy.sweep.plan import SweepError
+    from deploy.sweep.varied import SweepError
 
     plan = folder.plan
     if not 0 <= run < plan.runs:
@@ -226,11 +233,20 @@ def _write(folder: SweepFolder, run: int) -> int:
     return PASSED
 
 
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
 # ---------------------------------------------------------------------- driving
 
 
 def _drive(
-    folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, options: argparse.Namespace
+    folder: SweepFolder,
+    jobs: int,
+    timeout_s: float,
+    wait_s: float | None,
+    interrupt: Any,
+    options: argparse.Namespace,
 ) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
     from deploy.cluster.choose import make_engine
@@ -244,17 +260,20 @@ def _drive(
     if not options.quiet:
         kept = f", {done} of them done already" if done else ""
         where = f"{jobs} at a time" if options.cluster is None else f"on {options.cluster}"
-        print(
-            f"{plan.runs} runs ({len(plan.cells)} cells, {plan.repeat} of each{kept}), {where}, "
-            f"into {folder.path}",
-            file=sys.stderr,
-        )
+        cells = f"{_counted(len(plan.cells), 'cell')}, {plan.repeat} of each{kept}"
+        print(f"{_counted(plan.runs, 'run')} ({cells}), {where}, into {folder.path}", file=sys.stderr)
     progress = make_progress(
         sys.stderr, plan.runs, done, quiet=options.quiet, trouble="unsafe or not settled"
     )
-    engine = make_engine(options.cluster, Runs(plan), jobs, timeout_s, progress, plan.cells)
+
+    def go_on() -> bool:
+        return bool(interrupt.count == 0)
+
+    engine = make_engine(
+        options.cluster, Runs(plan), jobs, timeout_s, progress, plan.cells, go_on=go_on, wait_s=wait_s
+    )
     with progress, engine:
-        for row in engine.results(missing, lambda: interrupt.count == 0):
+        for row in engine.results(missing, go_on):
             folder.add(row)
             progress.add(trouble=not row.good)
 
@@ -267,8 +286,8 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
     from deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim
     from deploy.sweep.figures import write_sweep_figures
     from deploy.sweep.folder import csv_bytes, replace_file
-    from deploy.sweep.plan import SweepError
     from deploy.sweep.summary import margins, shown, summarise, summary_json, summary_table
+    from deploy.sweep.varied import SweepError
     from deploy.verdict.reasons import of_fault
 
     plan = folder.plan

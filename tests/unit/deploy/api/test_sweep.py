@@ -64,6 +64,10 @@ def test_what_every_run_draws_is_a_column() -> None:
         sweep("pair", workers=2, cluster="tcp://there:8786")
     with pytest.raises(Error, match="must be tcp://HOST:PORT"):
         sweep("pair", cluster="there")
+    with pytest.raises(Error, match="cluster_wait is of a Dask scheduler that cluster names"):
+        sweep("pair", cluster_wait=600.0)
+    with pytest.raises(Error, match=r"cluster_wait must be a time above 0 \(s\), got -1"):
+        sweep("pair", cluster="tcp://there:1", cluster_wait=-1)
 
 
 def test_pictures_are_figures(found: Sweep) -> None:

@@ -47,10 +47,51 @@ def test_a_scheduler_by_its_file(tmp_path: Path) -> None:
     file = tmp_path / "scheduler.json"
     with pytest.raises(ClusterOptionError):
         check_cluster(str(file))
-    file.write_text("{}")
+    file.write_text('{"type": "Scheduler", "address": "tcp://127.0.0.1:8786", "workers": {}}')
     engine = make_engine(str(file), Doubles(), 2, 9.0, Shown())
     assert isinstance(engine, Cluster)
-    assert engine.name == str(file)
+    assert engine.name == f"tcp://127.0.0.1:8786 ({file})"
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ('{"a": 1}', ", and has no address"),
+        ("[]", ", and has no address"),
+        ('{"address": 8786}', ", and has no address"),
+        ('{"address": "inproc://x"}', ', and its address is "inproc://x"'),
+        ("fleet = 1", ", and is no JSON"),
+        ("", ", and is no JSON"),
+    ],
+)
+def test_what_is_no_file_of_a_scheduler_is_one_line(tmp_path: Path, text: str, wrong: str) -> None:
+    file = tmp_path / "scheduler.json"
+    file.write_text(text)
+    with pytest.raises(ClusterOptionError, match="must be what a Dask scheduler writes") as raised:
+        check_cluster(str(file))
+    assert str(raised.value).startswith(f"--cluster {file}: ")
+    assert str(raised.value).endswith(wrong)
+
+
+@pytest.mark.parametrize(
+    ("where", "says"),
+    [
+        ("ssh:", "--cluster ssh: names no fleet"),
+        ("ssh:nofleet", "--cluster ssh:nofleet: .*nofleet"),
+    ],
+)
+def test_a_fleet_that_is_none_is_refused_by_the_option(where: str, says: str) -> None:
+    with pytest.raises(ClusterOptionError, match=says):
+        check_cluster(where)
+
+
+def test_workers_are_counted_beside_runs() -> None:
+    shown = Shown()
+    engine = make_engine("tcp://there:8786", Doubles(), 2, 9.0, shown, wait_s=600.0)
+    assert isinstance(engine, Cluster)
+    assert engine._patience_s == 600.0
+    engine._count(8, 2)
+    assert shown.now == "8 at a time on 2 workers"
 
 
 @pytest.mark.parametrize(

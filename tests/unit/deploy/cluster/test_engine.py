@@ -10,10 +10,11 @@ import pytest
 from distributed.client import FutureCancelledError
 
 from deploy.cluster import engine
-from deploy.cluster.engine import AHEAD, Cluster
+from deploy.cluster.connection import ClusterError, GivenUp
+from deploy.cluster.engine import AHEAD, DEMAND_MAX, NOBODY_HAS, Cluster
 from deploy.cluster.on_worker import UnknownCampaign
 from deploy.cluster.sent import Unfinished, Unreadable
-from deploy.cluster.watch import ClusterError, Seen, There
+from deploy.cluster.watch import Seen, There
 from deploy.simulate.worker_pool import EngineLost
 
 
@@ -31,6 +32,7 @@ class Future:
     def __init__(self, key: str, run: int, worker: str) -> None:
         self.key, self.run, self.worker = key, run, worker
         self.found: object = None
+        self.released = False
         self._call: Callable[[object], None] = lambda _: None
 
     def add_done_callback(self, call: Callable[[object], None]) -> None:
@@ -46,7 +48,7 @@ class Future:
         return self.found
 
     def release(self) -> None:
-        pass
+        self.released = True
 
 
 class Client:
@@ -57,12 +59,22 @@ class Client:
     def __init__(self) -> None:
         self.futures: list[Future] = []
         self.cancelled: list[Future] = []
+        self.demand: list[Future] = []
 
     def submit(
         self, _call: object, _campaign: str, run: int, *, key: str, workers: list[str], **_: Any
     ) -> Future:
         self.futures.append(Future(key, run, workers[0]))
         return self.futures[-1]
+
+    def map(
+        self, call: object, values: range, *, key: list[str], resources: dict[str, int], **_: Any
+    ) -> list[Future]:
+        assert call is int, "which is there whatever a worker has installed"
+        assert resources == {NOBODY_HAS: 1}
+        made = [Future(each, -1, "") for each, _ in zip(key, values, strict=True)]
+        self.demand += made
+        return made
 
     def _cancel(self) -> None:
         raise AssertionError
@@ -102,14 +114,14 @@ class Bench:
 
     def __init__(self, **options: Any) -> None:
         self.told: list[str] = []
-        self.counts: list[int] = []
+        self.counts: list[tuple[int, int]] = []
         self.cluster = Cluster(
             "tcp://there:1",
             Numbers(),
             9.0,
             files={},
             say=self.told.append,
-            count=self.counts.append,
+            count=lambda *found: self.counts.append(found),
             **options,
         )
         self.client, self.watch = Client(), Watch()
@@ -152,7 +164,7 @@ def test_no_more_is_submitted_than_threads_have_and_a_few_that_wait() -> None:
     assert found == ["done 0", "done 1"]
     assert len(bench.client.futures) <= 2 + 3 * (1 + AHEAD)
     assert {address: len(runs) for address, runs in bench.given().items()} == {"a": 2, "b": 3}
-    assert bench.counts == [3]
+    assert bench.counts == [(3, 2)]
     assert sorted(each.run for each in bench.client.futures[:3]) == [0, 1, 2], "threads first"
 
 
@@ -260,3 +272,47 @@ def test_without_a_worker_it_ends_with_the_reason() -> None:
         bench.rounds(
             range(9), lambda: bench.watch.show(a=1), bench.end(0), bench.watch.show, bench.watch.show
         )
+
+
+def test_the_scheduler_knows_how_many_runs_wait_though_there_is_no_worker() -> None:
+    """An adaptive cluster, which begins without a worker, starts none for a client that submits nothing."""
+    bench = Bench()
+    bench.rounds(range(5), lambda: None, lambda: None)
+    assert len(bench.client.demand) == 5
+    bench.rounds(range(3), lambda: bench.watch.show(a=1), bench.end(0), bench.end(1), bench.end(2))
+    assert all(future.released for future in bench.client.demand), "nothing waits any more"
+
+    many = Bench()
+    many.rounds(range(10 * DEMAND_MAX), lambda: None)
+    assert len(many.client.demand) == DEMAND_MAX
+
+
+def test_a_run_that_is_a_row_now_is_not_said_to_be_driven_again() -> None:
+    bench = Bench()
+    found = bench.rounds(
+        range(2),
+        lambda: bench.watch.show(a=1),
+        lambda: bench.watch.show(b=1),
+        lambda: bench.watch.show(c=1),
+    )
+    assert found == ["0: the workers that drove it died: a, b"]
+    assert bench.told == ["the worker a is gone; 2 runs are driven again elsewhere", "the worker b is gone"]
+
+
+def test_waiting_for_a_worker_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "WAITS_S", 0.05)
+    bench = Bench(patience_s=600.0)
+    bench.rounds(range(2), lambda: None, lambda: time.sleep(0.1), lambda: None, lambda: None)
+    (text,) = bench.told
+    assert text == "there is no worker at tcp://there:1 yet: waiting for one since 0 s, for 600 s at most"
+
+
+def test_who_is_told_to_stop_before_there_is_a_connection_drives_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused(*_: object) -> None:
+        raise GivenUp
+
+    monkeypatch.setattr(engine, "connected", refused)
+    with Cluster("tcp://there:1", Numbers(), 9.0, files={}, say=print, go_on=lambda: False) as cluster:
+        assert list(cluster.results(range(3), lambda: False)) == []

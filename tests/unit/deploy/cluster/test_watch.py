@@ -11,9 +11,10 @@ import cloudpickle
 import pytest
 
 from deploy.cluster import watch
+from deploy.cluster.connection import ClusterError
 from deploy.cluster.identity import SOURCES, identity
 from deploy.cluster.on_worker import PROCESS
-from deploy.cluster.watch import ClusterError, There, Watch, remote
+from deploy.cluster.watch import There, Watch, remote
 
 HERE = f"{sys.version_info[0]}.{sys.version_info[1]}.9.final.0"
 
@@ -30,6 +31,10 @@ class Scheduler:
 
     async def ncores(self) -> dict[str, int]:
         return dict.fromkeys(self.workers, 1)
+
+    async def identity(self, n_workers: int) -> dict[str, Any]:
+        assert n_workers == -1
+        return {"workers": {each: {"name": about.get("name", each)} for each, about in self.workers.items()}}
 
     async def broadcast(self, msg: dict[str, Any], workers: list[str], on_error: str) -> dict[str, Any]:
         return {
@@ -159,3 +164,12 @@ def test_what_is_sent_imports_its_module_only_where_it_is_called(monkeypatch: py
     read = cloudpickle.loads(data)
     with pytest.raises(ModuleNotFoundError):
         read(1)
+
+
+def test_a_worker_that_is_refused_is_called_by_its_name_too() -> None:
+    client = Client()
+    client.scheduler.workers = {"tcp://there:1": {"versions": "3.9.1.final.0", "name": "lab-7"}}
+    seen = watching(client)
+    seen._look()
+    (text,) = seen.said()
+    assert text.startswith("the worker tcp://there:1 (lab-7) is given nothing: ")

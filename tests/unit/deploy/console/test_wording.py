@@ -54,3 +54,8 @@ def test_one_of_whom_several_such_texts_are_said_is_named_once() -> None:
 def test_times_of_day_and_addresses_are_no_numbers() -> None:
     said = [(f"stopped at 12:00:0{k} by 10.0.0.{k}:7447, v1.{k}.0", k) for k in range(1, 7)]
     assert grouped(said) == [(text, [robot]) for text, robot in said]
+
+
+def test_robots_at_the_beginning_of_a_sentence_are_robots_too() -> None:
+    said = [(f"Robot {robot}: late by {robot} s", robot) for robot in range(1, 5)]
+    assert grouped(said) == [("Robots 1, 2, 3 and 4: late by 1 to 4 s", [1, 2, 3, 4])]

@@ -7,8 +7,9 @@ from scipy.stats import beta
 
 from deploy.console.data_files import FLEETS
 from deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim, upper_bound
-from deploy.sweep.plan import Plan, Question, make_plan, parse_over
+from deploy.sweep.plan import Plan, Question, make_plan
 from deploy.sweep.run import CRASHED, FAILED, PASSED, Row
+from deploy.sweep.varied import parse_over
 
 
 @pytest.mark.parametrize("of", [1, 30, 1000, 30_000])
@@ -53,6 +54,31 @@ def test_all_runs_are_one_sample() -> None:
     assert lines[0].startswith("20 runs, 1 unsafe and 1 not finished, counted as unsafe: with 95 % ")
     assert lines[1].startswith("settled: 14 of 20, 70 % (")
     assert lines[2] == "  4 not settled: edge 1-2 was 0.5 to 0.8 m off"
+
+
+@pytest.mark.parametrize(("runs", "said"), [(2, "77.7 %"), (10, "25.9 %"), (1, "95 %"), (300, "0.994 %")])
+def test_a_bound_is_rounded_up(runs: int, said: str) -> None:
+    """77.639 % was shown as 77.6 %, which is no bound."""
+    claim = make_claim(plan(runs), {run: row(run) for run in range(runs)})
+    assert f" at most {said} of such runs" in claim_lines(claim)[0]
+    assert float(said[:-2]) >= 100.0 * claim.upper
+    assert claim_json(claim)["unsafe_share_upper_95"] >= claim.upper
+
+
+def test_one_run_and_a_short_time_are_said_as_they_are() -> None:
+    claim = make_claim(plan(1), {0: row(0)})
+    assert claim_lines(claim)[0].startswith("1 run, 0 unsafe")
+    assert cost_line(plan(1), [row(0, cpu_s=0.379)]) == (
+        "1 run driven now took 0.379 CPU seconds for 20 robot-seconds: 52.8 per core-second"
+    )
+
+
+def test_robots_of_other_runs_are_no_list() -> None:
+    rows = {0: row(0, "Robot 1: without robot 2."), 1: row(1, "Robot 2: without robot 1.")}
+    assert claim_lines(make_claim(plan(2), rows))[2:] == [
+        "  2 not settled: Robot A: without robot B.",
+        "  (A, B and so on are robots, others from run to run)",
+    ]
 
 
 def test_the_cost_is_of_what_was_driven_now() -> None:

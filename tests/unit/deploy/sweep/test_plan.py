@@ -28,9 +28,10 @@ from deploy.simulate.simulation import Simulation
 from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.sweep.figures import PANELS_MAX, scatter, write_sweep_figures
 from deploy.sweep.folder import SweepFolder, read_question
-from deploy.sweep.plan import Axis, Plan, Question, Range, SweepError, make_plan, parse_axis, parse_over
+from deploy.sweep.plan import Plan, Question, make_plan
 from deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
 from deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
+from deploy.sweep.varied import Axis, Range, SweepError, parse_axis, parse_over
 from deploy.verdict.metrics import columns
 from deploy.verdict.run_result import RunResult
 
@@ -377,7 +378,14 @@ def test_a_row_that_was_cut_off_is_driven_again(tmp_path: Path, lost: int) -> No
             ask("control.kp=0,1", repeat=2, overrides=(SHORT,)),
             r"--set is fleet\.duration_s=0\.5, was not given",
         ),
-        (ask("control.kp=0,1", repeat=2, fleet="pair"), "the fleet file is another one"),
+        (ask("control.kp=0,1", repeat=2, fleet="pair"), "the fleet is pair, was delta"),
+        (
+            replace(
+                ask("control.kp=0,1", repeat=2),
+                text=fleet_text(DELTA).replace("duration_s = 30", "duration_s = 31"),
+            ),
+            "the fleet file is another one",
+        ),
     ],
 )
 def test_a_folder_of_another_sweep_is_refused(tmp_path: Path, other: Question, says: str) -> None:
@@ -403,7 +411,7 @@ def test_a_folder_that_is_in_use_or_holds_something_else_is_refused(tmp_path: Pa
     with pytest.raises(SweepError, match="b is not empty and holds no sweep"):
         SweepFolder(tmp_path / "b", question, plan)
     with pytest.raises(SweepError, match="cannot write the sweep's folder"):
-        SweepFolder(tmp_path / "b" / "thesis.tex", question, plan)
+        SweepFolder(tmp_path / "b" / "thesis.tex" / "out", question, plan)
 
 
 @pytest.mark.parametrize(
@@ -528,6 +536,12 @@ def test_field_of_the_margin() -> None:
         margin_axis(plan, "control.coupling")
 
 
+def test_a_field_that_is_drawn_has_no_margin() -> None:
+    plan = make_plan(ask("faults.delay=0..1s", "control.kp=0,1"))
+    with pytest.raises(SweepError, match=r"--margin faults\.delay: every run draws it, so it has no margin"):
+        margin_axis(plan, "faults.delay")
+
+
 def test_summaries_hold_every_cell() -> None:
     plan = make_plan(ask("faults.delay=0,1s", "control.kp=1,2", repeat=2))
     cells = summarise(plan, rows_of(plan, {7: made(plan, 7, settling_time_s=NEVER)}))
@@ -544,6 +558,35 @@ def test_summaries_hold_every_cell() -> None:
         "field": "faults.delay", "with": {"control.kp": "2"}, "largest": "0", "failed": "1s",
         "trouble": "1 of 2 not settled",
     }  # fmt: skip
+
+
+# ---------------------------------------------------------------------- folders of others
+
+
+def test_the_folder_of_another_fleet_names_the_fleets(tmp_path: Path) -> None:
+    question = ask("control.kp=0,1", repeat=2)
+    with SweepFolder(tmp_path / "out", question, make_plan(question)):
+        pass
+    other = ask("control.kp=0,1", fleet="pair", repeat=3)
+    with pytest.raises(SweepError, match=r"the fleet is pair, was delta; --repeat is 3, was 2"):
+        SweepFolder(tmp_path / "out", other, make_plan(other))
+
+
+def test_a_place_that_is_a_file_is_said_to_be_one(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(SweepError, match=r"out is a file: name a folder"):
+        SweepFolder(tmp_path / "out", ask(), make_plan(ask()))
+
+
+def test_what_was_asked_and_then_edited_is_refused(tmp_path: Path) -> None:
+    question = ask(repeat=40)
+    with SweepFolder(tmp_path, question, make_plan(question)):
+        pass
+    file = tmp_path / "sweep.toml"
+    file.write_text(file.read_text().replace("repeat = 40", "repeat = 45"))
+    again = read_question(tmp_path)
+    with pytest.raises(SweepError, match=r"sweep\.toml has been changed: .* makes 45 runs, .* runs = 40"):
+        SweepFolder(tmp_path, again, make_plan(again))
 
 
 # ---------------------------------------------------------------------- pictures

