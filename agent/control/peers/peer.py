@@ -15,6 +15,7 @@ from agent.messages.types import HandState
 NEVER: Final = -1
 """Stamp of what has not come."""
 SINCE_EVER: Final = -(1 << 62)
+"""ns: before every time that there is."""
 
 
 class Peer:

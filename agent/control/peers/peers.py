@@ -381,8 +381,8 @@ class Peers:
             peer.degree,
             place,
             beacon.doubt,
-            beacon.obeys(beacon.robot) if beacon.rolling else (),
-            beacon.lost_ms(beacon.robot) if beacon.lost else 0,
+            beacon.obeys(beacon.robot),
+            beacon.lost_ms(beacon.robot),
         )
         if peer.rolls_on:
             peer.note_way(self.forecast.since_measured(peer.message))
