@@ -13,10 +13,11 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Footer, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.writer import CompressionType
 
 from agent.fleet.loading import to_dict
@@ -30,6 +31,8 @@ from tests.unit.deploy.recording.test_recording import rewritten
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=5.0, rate_hz=10.0)
+PREFIX_BYTES, HEAD_BYTES = 9, 40
+"""Of a chunk's record: opcode and length; all before what is packed but the name of its compression."""
 Stamps = dict[str, list[int]]
 """By key, the times (ns) that plants, hands and wrenches carry."""
 
@@ -134,6 +137,24 @@ def read(folder: Path, data: bytes) -> tuple[Stamps, list[str]]:
     return stamps_of(recording), list(recording.warnings)
 
 
+def is_the_same(damaged: bytes, data: bytes, place: Place) -> bool:
+    """Whether a chunk that was changed in what is packed unpacks to the same: a match elsewhere may be as
+    good."""
+    now, was = (each[place.begin + PREFIX_BYTES : place.end] for each in (damaged, data))
+    if len(damaged) != len(data) or now[:HEAD_BYTES] != was[:HEAD_BYTES]:
+        return False
+    try:
+        return unpacked(now) == unpacked(was)
+    except Exception:  # a dozen of the decompressors'
+        return False
+
+
+def unpacked(content: bytes) -> bytes:
+    """By the library, which checks the sum."""
+    stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(content))), validate_crc=True)
+    return bytes(stream.read(length))
+
+
 def spoilt(data: bytes, begin: int, length: int, how: str) -> bytes:
     part = data[begin : begin + length]
     new = bytes(length) if how == "zero" else bytes(each ^ 0x55 for each in part) if how == "other" else b""
@@ -158,6 +179,7 @@ SETTINGS = settings(
 @example(where=0.0, length=4096, how="zero", killed=False)
 @example(where=0.0, length=4096, how="zero", killed=True)
 @example(where=0.06675, length=1, how="missing", killed=True)  # of an index before a chunk
+@example(where=0.8098648945239489, length=1, how="zero", killed=True)  # LZ4 unpacks it to the same bytes
 def test_all_is_read_but_the_chunks_that_are_damaged(
     run: Run, tmp_path: Path, where: float, length: int, how: str, killed: bool
 ) -> None:
@@ -169,8 +191,9 @@ def test_all_is_read_but_the_chunks_that_are_damaged(
     length = min(length, len(data) - begin)
     sound = [each for each in run.chunks if each.end <= begin or begin + length <= each.begin]
     hit = [each for each in run.chunks if each not in sound]
-    found, said = read(tmp_path, spoilt(data, begin, length, how))
-    if spoilt(data, begin, length, how) == data:
+    damaged = spoilt(data, begin, length, how)
+    found, said = read(tmp_path, damaged)
+    if damaged == data or (len(hit) == 1 and is_the_same(damaged, data, hit[0])):
         hit, sound = [], run.chunks
     has_summary = not killed and begin + length <= run.summary and how != "missing"
     if not has_summary and any(each.introduces for each in hit):
