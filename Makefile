@@ -32,7 +32,7 @@ REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
 REST := $(REST)$(if $(filter compiled,$(SLOW)), and (patches or not slow))
 SLOW_COMPILED := slow and not patches and not process and not compiled and not autopilot
 QUICK_COMPILED := $(QUICK) and not patches
-OF_COMPILED := $(addprefix tests/,unit/agent unit/plant unit/bridges property simulation)
+OF_COMPILED := $(addprefix tests/,unit/agent unit/plant property simulation)
 # What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
 DRIVES := slip or in_run or mid_drive or supervision

@@ -26,13 +26,24 @@ MORE_M: Final = 0.1
 AHEAD_S: Final = 1.0
 """So much further ahead than messages are late it is looked for where ways meet."""
 STEP_S: Final = 0.2
+_AHEAD_NS: Final = round(AHEAD_S * NS_PER_S)
+_STEP_NS: Final = round(STEP_S * NS_PER_S)
 TURNED: Final = 0.05
 """m/s^2: a robot whose acceleration is changed by more than this makes way for somebody."""
 AT_PLACE: Final = 0.9
 """Ways do not meet where places are that near to each other: this share of their distance."""
 
-Point = tuple[float, float, float, float] | None
-"""Where a robot is on its way, and where its place is then, m, W; None for one without a place."""
+
+class _Point:
+    """Where a robot is on its way, and where its place is then, m, W."""
+
+    __slots__ = "place_x", "place_y", "x", "y"
+
+    def __init__(self, x: float, y: float, place_x: float, place_y: float) -> None:
+        self.x: Final = x
+        self.y: Final = y
+        self.place_x: Final = place_x
+        self.place_y: Final = place_y
 
 
 class Caution:
@@ -64,7 +75,7 @@ class Caution:
         if now_ns >= self._until_ns:
             self.speed = inf
         own: HandState | None = None
-        way: list[Point] = []
+        way: list[_Point | None] = []
         for peer in near:
             message = peer.message
             if (
@@ -85,7 +96,13 @@ class Caution:
                 self.speed, self._until_ns = min(speed, self.speed), now_ns + late_ns
 
     def _meet(
-        self, own: HandState, way: list[Point], peer: Peer, message: HandState, now_ns: int, late_ns: int
+        self,
+        own: HandState,
+        way: list[_Point | None],
+        peer: Peer,
+        message: HandState,
+        now_ns: int,
+        late_ns: int,
     ) -> bool:
         """Whether two that do as the law says, and make no way for anybody, come too near to each other.
 
@@ -93,21 +110,27 @@ class Caution:
             way: the own one, as far as it has been asked for; it is the same beside every other.
         """
         keep = self._keep_m + said_doubt(late_ns / NS_PER_S) + MORE_M
-        step_ns = round(STEP_S * NS_PER_S)
-        for k, then_ns in enumerate(range(now_ns, now_ns + late_ns + round(AHEAD_S * NS_PER_S), step_ns)):
+        then_ns, until_ns = now_ns, now_ns + late_ns + _AHEAD_NS
+        ahead_ns, k = peer.clock.used_ns, 0
+        while then_ns < until_ns:
             if k == len(way):
                 way.append(self._at(own, then_ns, 0))
-            mine, other = way[k], self._at(message, then_ns, peer.clock.used_ns)
+            mine, other = way[k], self._at(message, then_ns, ahead_ns)
             if mine is None or other is None:
                 return False
-            (x, y, place_x, place_y), (other_x, other_y, beside_x, beside_y) = mine, other
-            apart = hypot(place_x - beside_x, place_y - beside_y)
-            if hypot(x - other_x, y - other_y) < min(keep, AT_PLACE * apart):
+            apart = hypot(mine.place_x - other.place_x, mine.place_y - other.place_y)
+            if hypot(mine.x - other.x, mine.y - other.y) < min(keep, AT_PLACE * apart):
                 return True
+            then_ns += _STEP_NS
+            k += 1
         return False
 
-    def _at(self, message: HandState, then_ns: int, ahead_ns: int) -> Point:
-        """Where one whose clock is ahead by so much would be at a time of the own clock."""
+    def _at(self, message: HandState, then_ns: int, ahead_ns: int) -> _Point | None:
+        """Where one whose clock is ahead by so much would be at a time of the own clock; None for one without
+        a place."""
         found = self._peers.forecast.following(message, then_ns + ahead_ns)
-        place = self._reference.motion(message.robot, then_ns)
-        return None if found is None or place is None else (*found.position, *place[:2])
+        at = self._reference.instant(then_ns)
+        if found is None or message.robot not in at.offsets:
+            return None
+        (x, y), place = found.position, at.motion(message.robot)
+        return _Point(x, y, place[0], place[1])

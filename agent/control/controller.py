@@ -122,7 +122,7 @@ class Controller:
             control.c1,
             control.c2,
             fleet.period_ns,
-            self.reference.motion,
+            self.reference.instant,
             # What a law of others asks for next, nobody can say: it counts for no longer than a period.
             decay=constraint_decay(control.kd, control.kp) if control.law is None else fleet.fleet.rate_hz,
             predict=control.prediction,

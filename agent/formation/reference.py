@@ -47,10 +47,14 @@ class Edge(NamedTuple):
     bend: float = 0.0
 
 
-class _Instant:
-    """The reference at one time: sample and places of the plan in force, and what it is blended from.
+class Instant:
+    """The desired motion of every robot at one time.
 
-    share, rate, bend: S and its first and second derivative by time (1/s, 1/s^2).
+    Args:
+        sample: motion of the formation's reference point, by the plan in force.
+        offsets: the place of every robot that has one, from there, m, W.
+        before: what it is blended from, None outside of a blend.
+        share, rate, bend: S and its first and second derivative by time (1/s, 1/s^2).
     """
 
     __slots__ = "before", "bend", "offsets", "rate", "sample", "share"
@@ -59,10 +63,10 @@ class _Instant:
         self,
         sample: Sample,
         offsets: dict[int, Vector],
-        before: _Instant | None,
-        share: float,
-        rate: float,
-        bend: float,
+        before: Instant | None = None,
+        share: float = 1.0,
+        rate: float = 0.0,
+        bend: float = 0.0,
     ) -> None:
         self.sample: Final[Sample] = sample
         self.offsets: Final = offsets
@@ -70,6 +74,26 @@ class _Instant:
         self.share: Final = share
         self.rate: Final = rate
         self.bend: Final = bend
+
+    def motion(self, robot: int) -> Sample:
+        """Of a robot that has a place, which is to be asked first (``robot in offsets``)."""
+        dx, dy = self.offsets[robot]
+        x, y, vx, vy, ax, ay = self.sample
+        x, y = x + dx, y + dy
+        before = self.before
+        if before is None or robot not in before.offsets:
+            return x, y, vx, vy, ax, ay
+        x0, y0, vx0, vy0, ax0, ay0 = before.motion(robot)
+        share, rate, bend = self.share, self.rate, self.bend
+        x, y, vx, vy = x - x0, y - y0, vx - vx0, vy - vy0
+        return (
+            x0 + share * x,
+            y0 + share * y,
+            vx0 + share * vx + rate * x,
+            vy0 + share * vy + rate * y,
+            ax0 + share * (ax - ax0) + 2.0 * rate * vx + bend * x,
+            ay0 + share * (ay - ay0) + 2.0 * rate * vy + bend * y,
+        )
 
 
 class _Segment:
@@ -117,7 +141,7 @@ class Reference:
         self._made_of = fleet, geometry
         self._file = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry) if file is None else file
         self._segments = [_Segment(self._file, 0, 0)]
-        self._instants: dict[int, _Instant] = {}
+        self._instants: dict[int, Instant] = {}
 
     def take(self, plan: Plan) -> None:
         """Takes a plan over at its time, instead of all that was to be taken over then or later.
@@ -196,18 +220,17 @@ class Reference:
 
         A robot that has just got its place is to be there at once: how it comes there is not the reference's.
         """
+        instant = self.instant(time_ns)
+        return instant.motion(robot) if robot in instant.offsets else None
+
+    def instant(self, time_ns: int) -> Instant:
+        """The desired motion of all at one time: few times are asked for, for every robot each."""
         known = self._instants.get(time_ns)
         if known is None:
             if len(self._instants) >= _INSTANTS_MAX:
                 self._instants.clear()
             known = self._instants[time_ns] = self._instant(self._index(time_ns), time_ns)
-        if known.before is not None:
-            return _blended(known, robot)
-        offset = known.offsets.get(robot)
-        if offset is None:
-            return None
-        x, y, vx, vy, ax, ay = known.sample
-        return x + offset[0], y + offset[1], vx, vy, ax, ay
+        return known
 
     def edges(self, robot: int, time_ns: int) -> tuple[Edge, ...]:
         """A member's edges, by the other's id; none for a robot without a place.
@@ -240,16 +263,16 @@ class Reference:
             index -= 1
         return index
 
-    def _instant(self, index: int, time_ns: int) -> _Instant:
+    def _instant(self, index: int, time_ns: int) -> Instant:
         segment = self._segments[index]
         plan, since_ns = segment.plan, time_ns - segment.begin_ns
         sample = plan.reference(time_ns)
         if since_ns >= segment.blend_ns:
-            return _Instant(sample, segment.offsets, None, 1.0, 0.0, 0.0)
+            return Instant(sample, segment.offsets)
         share, rate, bend = blend_shape(since_ns / segment.blend_ns)
         per_s = NS_PER_S / segment.blend_ns
         before = self._instant(index - 1, time_ns)
-        return _Instant(sample, segment.offsets, before, share, rate * per_s, bend * per_s * per_s)
+        return Instant(sample, segment.offsets, before, share, rate * per_s, bend * per_s * per_s)
 
     def _weighted(self, index: int, robot: int, time_ns: int) -> dict[int, tuple[float, float, float]]:
         """A robot's edges, by the robots at their other ends: by how much the wanted distance is more than
@@ -298,25 +321,3 @@ def blend_shape(s: float) -> tuple[float, float, float]:
 
 def _share(s: float) -> float:
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
-
-
-def _blended(instant: _Instant, robot: int) -> Sample | None:
-    offset = instant.offsets.get(robot)
-    if offset is None:
-        return None
-    x, y, vx, vy, ax, ay = instant.sample
-    x, y = x + offset[0], y + offset[1]
-    before = _blended(instant.before, robot) if instant.before is not None else None
-    if before is None:
-        return x, y, vx, vy, ax, ay
-    x0, y0, vx0, vy0, ax0, ay0 = before
-    share, rate, bend = instant.share, instant.rate, instant.bend
-    x, y, vx, vy = x - x0, y - y0, vx - vx0, vy - vy0
-    return (
-        x0 + share * x,
-        y0 + share * y,
-        vx0 + share * vx + rate * x,
-        vy0 + share * vy + rate * y,
-        ax0 + share * (ax - ax0) + 2.0 * rate * vx + bend * x,
-        ay0 + share * (ay - ay0) + 2.0 * rate * vy + bend * y,
-    )

@@ -17,6 +17,7 @@ from math import dist
 from typing import Final, NamedTuple
 
 from agent.common import random_streams
+from agent.common.named_tuples import new
 from agent.common.time import NS_PER_S, LocalTime
 from agent.impairments import recorded_fates
 from agent.impairments.impairments import Delay, from_trace
@@ -256,11 +257,11 @@ class LinkEmulator:
         sent_ns = link.sent_ns(stamp_ns)
         for what, delay_ns, bit in link.decide(effects, sequence, sent_ns, len(payload), distance):
             delay_us = delay_ns // 1000 if not what & LOST else _LOST_US
-            entry = Decision(message.robot, topic, sequence, stamp_ns, what, delay_us)
+            entry = new(Decision, (message.robot, topic, sequence, stamp_ns, what, delay_us))
             if what & LOST:
                 self._trace.append(entry)
                 continue
-            arrival = Arrival(key, payload, message)
+            arrival = new(Arrival, (key, payload, message))
             if bit >= 0:
                 arrival = Arrival(key, _flipped(payload, bit), None)
             if effects.hold:

@@ -116,7 +116,8 @@ class Drive:
                 if detach:
                     self._is_left = self._hand_over()
                 else:
-                    self._drive()
+                    with realtime.recording(self._fleet):
+                        self._drive()
         finally:
             begun = self._processes.ours or self._fleet_state.epoch_ns is not None
             try:

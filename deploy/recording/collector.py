@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +18,7 @@ from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.codec import newer
 from agent.messages.types import (
+    TIME_NS_MAX,
     TOPICS,
     Ask,
     Beacon,
@@ -120,7 +120,7 @@ class RunData:
         self._texts_from = {key_expressions.status_texts(prefix, robot): robot for robot in self._plant}
         self._beacons_from = {key_expressions.beacon(prefix, robot): robot for robot in self._plant}
         self._beacons: dict[int, deque[Beacon]] = {robot: deque(maxlen=BEACONS) for robot in self._plant}
-        self._over_ns = inf
+        self._over_ns = TIME_NS_MAX
         """When the drive is over, by the last mission."""
         self._traced = {
             key: robot

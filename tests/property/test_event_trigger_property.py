@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agent.control.event_trigger import EventTrigger
 from agent.control.peers.forecast import Forecast
-from agent.formation.trajectory import Sample
+from agent.formation.reference import Instant
 from agent.messages.types import HandState
 
 C1, C2, DECAY = 0.4, 0.6, 0.9
@@ -25,9 +25,9 @@ _pushes = st.tuples(
 )
 
 
-def circling(robot: int, time_ns: int) -> Sample | None:
+def onward(time_ns: int) -> Instant:
     t = (time_ns - T0) / S
-    return 0.3 * t, 0.0, 0.3, 0.0, 0.0, 0.0
+    return Instant((0.3 * t, 0.0, 0.3, 0.0, 0.0, 0.0), {1: (0.0, 0.0)})
 
 
 @given(
@@ -41,7 +41,7 @@ def test_neighbours_expect_it_within_the_bound_where_it_is(
 ) -> None:
     period_ns = S // rate_hz
     dt = period_ns / S
-    forecast = Forecast(C1, C2, circling, DECAY, None)
+    forecast = Forecast(C1, C2, onward, DECAY, None)
     rule = EventTrigger(forecast, period_ns, bound_m, most * period_ns, predicts=True, slopes=dict)
     x = y = vx = vy = 0.0
     last: HandState | None = None
@@ -56,8 +56,7 @@ def test_neighbours_expect_it_within_the_bound_where_it_is(
                 off = hypot(expected.position[0] - x, expected.position[1] - y)
                 # One tick of another velocity and acceleration than those that were within the bound.
                 assert off <= bound_m * (1.0 + 2.0 * dt) + 2.0 * ACCELERATION * dt * dt * 1.5
-            place = circling(1, now_ns)
-            assert place is not None
+            place = onward(now_ns).motion(1)
             nx = -C1 * (x - place[0]) - C2 * (vx - place[2])
             ny = -C1 * (y - place[1]) - C2 * (vy - place[3])
             forces = (nx, ny, ax - nx, ay - ny, 0.0, 0.0)

@@ -35,8 +35,7 @@ from agent.control.peers.rolling import (
     moves,
     rolled,
 )
-from agent.formation.reference import Reference
-from agent.formation.trajectory import Sample
+from agent.formation.reference import Instant, Reference
 from agent.messages.types import HandState
 
 DRIVEN_MAX: Final = 1.0
@@ -50,9 +49,20 @@ LANE_STEPS_MAX: Final = 120
 AT_PLACE: Final = 0.1
 """m: nearer than this it is there."""
 
-Motion = Callable[[int, int], Sample | None]
-"""(robot, wall time ns) -> its desired motion, None for one without a place:
-`agent.formation.reference.Reference.motion`."""
+STEPS_KEPT: Final = 256
+"""Few ages are asked for in a tick, and the same ones in the next."""
+
+Instants = Callable[[int], Instant]
+"""Wall time ns -> the desired motion of all: `agent.formation.reference.Reference.instant`."""
+
+
+class _Step:
+    """A `Transition` that is kept."""
+
+    __slots__ = ("of",)
+
+    def __init__(self, of: Transition) -> None:
+        self.of: Final[Transition] = of
 
 
 class Forecast:
@@ -60,7 +70,7 @@ class Forecast:
 
     Args:
         c1, c2: navigation gains (21) of all.
-        motion: desired motion of every robot.
+        instants: desired motion of every robot.
 
     Attributes:
         decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
@@ -73,49 +83,67 @@ class Forecast:
         self,
         c1: float,
         c2: float,
-        motion: Motion,
+        instants: Instants,
         decay: float,
         most: float | None,
         speeding: float = 0.0,
         rolls_on: Mapping[int, Rolls] | None = None,
     ) -> None:
-        self._c1, self._c2, self._motion = c1, c2, motion
+        self._c1, self._c2, self._instants = c1, c2, instants
         self.decay, self.most, self.speeding = decay, most, speeding
         self._rolls_on = rolls_on or {}
         self.epoch_ns = 0
-        self._step_of = 0.0, decay
-        self._step: Transition = transition(c1, c2, decay, 0.0)
+        self._steps: dict[int, _Step] = {}
+        self._free_steps: dict[int, _Step] = {}
+        """By age, ns: of `decay`, and without any."""
+        self._steps_decay = decay
 
     def following(
-        self, message: HandState, then_ns: int, motion: Motion | None = None, *, slowly: float = inf
+        self, message: HandState, then_ns: int, instants: Instants | None = None, *, slowly: float = inf
     ) -> Prediction | None:
         """A robot at a time of its own clock if it follows its reference, None for one without a place.
 
         Args:
             slowly: as seen from its place it goes no faster than this, m/s.
         """
-        motion = motion or self._motion
-        then = motion(message.robot, then_ns)
-        if then is None:
+        if instants is None:
+            instants = self._instants
+        robot, at = message.robot, instants(then_ns)
+        if robot not in at.offsets:
             return None
+        then = at.motion(robot)
         since_ns = message.time_ns if message.time_ns > self.epoch_ns else self.epoch_ns
         if since_ns > then_ns:
             since_ns = then_ns
-        since = motion(message.robot, since_ns)
-        if since is None:  # it has a place only since its message
-            since = then
-        age = (then_ns - since_ns) * 1e-9
-        decay = self.decay
-        if age != self._step_of[0] or decay != self._step_of[1]:  # all that are heard in time are as old
-            self._step_of, self._step = (age, decay), transition(self._c1, self._c2, decay, age)
+        before = instants(since_ns)
+        # One may have a place only since its message.
+        since = before.motion(robot) if robot in before.offsets else then
+        age, decay = (then_ns - since_ns) * 1e-9, self.decay
+        step = self._step(then_ns - since_ns, decay)
         found = following(
-            message, then, since, age, self._c1, self._c2, decay, self.most, self.speeding, self._step
+            message, then, since, age, self._c1, self._c2, decay, self.most, self.speeding, step
         )
         return (
             found
             if slowly == inf or age * NS_PER_S <= UNSURE_NS
             else slowed(found, message, then, since, age, slowly)
         )
+
+    def _step(self, age_ns: int, decay: float) -> Transition:
+        """`transition` over an age."""
+        if decay == 0.0:
+            steps = self._free_steps
+        else:
+            steps = self._steps
+            if decay != self._steps_decay:
+                steps.clear()
+                self._steps_decay = decay
+        known = steps.get(age_ns)
+        if known is None:
+            if len(steps) >= STEPS_KEPT:
+                steps.clear()
+            known = steps[age_ns] = _Step(transition(self._c1, self._c2, decay, age_ns * 1e-9))
+        return known.of
 
     def forces_of(self, before: HandState, message: HandState) -> HandState:
         """A message that says only where a robot is, with the forces that are left of its one before."""
@@ -143,7 +171,7 @@ class Forecast:
         if not message.following:
             doubt += min(DRIVEN_MAX, hypot(message.vx, message.vy))
         points = [(0.0, message.x, message.y)]
-        onward = islice(self._onward(message, STEP_S, self._motion), ceil(until / STEP_S))
+        onward = islice(self._onward(message, STEP_S, self._instants), ceil(until / STEP_S))
         points += [((k + 1) * STEP_S, x, y) for k, (x, y) in enumerate(onward)]
         return self.may_have_rolled(stood_on(points, doubt), message)
 
@@ -204,7 +232,7 @@ class Forecast:
             return Lane(points)
         step_ns = round(LANE_STEP_S * NS_PER_S)
         message = message._replace(time_ns=time_ns)
-        for point in islice(self._onward(message, LANE_STEP_S, reference.motion), LANE_STEPS_MAX):
+        for point in islice(self._onward(message, LANE_STEP_S, reference.instant), LANE_STEPS_MAX):
             points.append(point)
             time_ns += step_ns
             place = reference.motion(robot, time_ns)
@@ -215,29 +243,29 @@ class Forecast:
                 break
         return Lane(points + reference.way(robot, time_ns))
 
-    def _onward(self, message: HandState, step_s: float, motion: Motion) -> Iterator[Vector]:
+    def _onward(self, message: HandState, step_s: float, instants: Instants) -> Iterator[Vector]:
         """Where a robot is every `step_s` after a message, if it follows from then on; one without a place
         brakes."""
         step_ns, robot = round(step_s * NS_PER_S), message.robot
         then_ns = message.time_ns + step_ns
-        found = self.following(message, then_ns, motion) or coasting(message, step_s)
+        found = self.following(message, then_ns, instants) or coasting(message, step_s)
         yield found.position
         place = *found.position, *found.velocity
-        since = motion(robot, then_ns)
+        before = instants(then_ns)
         while True:  # each step as `following` has it: tens of them for each robot that may have stopped
             before_ns, then_ns = then_ns, then_ns + step_ns
-            then = motion(robot, then_ns)
-            if then is None:
+            at = instants(then_ns)
+            if robot not in at.offsets:
                 braking = coasting(HandState.placed(robot, 0, before_ns, True, 0, place), step_s)
                 place = *braking.position, *braking.velocity
             else:
                 since_ns = before_ns
                 if before_ns < self.epoch_ns:
                     since_ns = min(self.epoch_ns, then_ns)
-                    since = motion(robot, since_ns)
-                age = (then_ns - since_ns) * 1e-9
-                place = unforced(
-                    place, then, since or then, age, self._c1, self._c2, self.most, self.speeding
-                )
-            since = then
+                    before = instants(since_ns)
+                then = at.motion(robot)
+                since = before.motion(robot) if robot in before.offsets else then
+                age, step = (then_ns - since_ns) * 1e-9, self._step(then_ns - since_ns, 0.0)
+                place = unforced(place, then, since, age, self._c1, self._c2, self.most, self.speeding, step)
+            before = at
             yield place[0], place[1]

@@ -16,7 +16,7 @@ from typing import Final
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.beliefs import stood_between
-from agent.control.peers.forecast import Forecast, Motion
+from agent.control.peers.forecast import Forecast, Instants
 from agent.control.peers.lateness import (
     IN_TIME_NS,
     LATE_MAX_NS,
@@ -56,7 +56,7 @@ class Peers:
         owner: id of the robot that listens.
         c1, c2: navigation gains (21) of all.
         period_ns: time between two hand states of one robot.
-        motion: desired motion of every robot.
+        instants: desired motion of every robot.
         decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
         predict: False takes every message as it came, whatever its age.
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
@@ -87,7 +87,7 @@ class Peers:
         c1: float,
         c2: float,
         period_ns: int,
-        motion: Motion,
+        instants: Instants,
         *,
         decay: float = 0.0,
         predict: bool = True,
@@ -111,7 +111,7 @@ class Peers:
         self._beacon_ns = beacon_ns
         self._rest_ns = max(0, beacon_max_ns - beacon_ns)
         self.predicts: Final = predict
-        self.forecast: Final = Forecast(c1, c2, motion, decay, most, speeding, rolls_on)
+        self.forecast: Final = Forecast(c1, c2, instants, decay, most, speeding, rolls_on)
         self._horizon_s, self._bound_m = horizon_s, bound_m
         self._began_ns = NEVER
         starts = starts or {}

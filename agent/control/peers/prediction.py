@@ -6,7 +6,6 @@ error does it is carried forward exactly over the age of its message (docs/theor
 
 from __future__ import annotations
 
-from functools import lru_cache
 from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final
 
@@ -35,7 +34,6 @@ def constraint_decay(kd: float, kp: float) -> float:
     return 2.0 * kp / (kd + sqrt(root)) if kd > 0.0 else 0.0
 
 
-@lru_cache(maxsize=1024)
 def transition(c1: float, c2: float, decay: float, age: float) -> Transition:
     """Exact step of e'' = -c1 e - c2 e' + F_c exp(-decay t) over `age` seconds, (P1).
 
@@ -93,8 +91,8 @@ def following(
     c2: float,
     decay: float,
     most: float | None,
-    speeding: float = 0.0,
-    step: Transition | None = None,
+    speeding: float,
+    step: Transition,
 ) -> Prediction:
     """A robot that follows the law, `age` seconds after its message.
 
@@ -106,19 +104,20 @@ def following(
         decay: of its constraint force, 1/s.
         most: speed limit (m/s) by which it makes for its place (N1), None without one.
         speeding: how fast it comes to that from far, 1/s, (N2).
-        step: `transition` of these, where it is known.
+        step: `transition` of these.
     """
     fx, fy, gx, gy = message.constraint_x, message.constraint_y, message.correction_x, message.correction_y
-    a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age) if step is None else step
     x0, y0, vx0, vy0, _, _ = since
     x1, y1, vx1, vy1, ax1, ay1 = then
     ex, ey, edot_x, edot_y = message.x - x0, message.y - y0, message.vx - vx0, message.vy - vy0
     if most is not None:
-        acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
-        if acting != error:
-            firm = firmness(error, acting, (vx1, vy1), c1, c2, most, speeding)
+        acting_x, acting_y = acting_error((ex, ey), (vx1, vy1), c1, c2, most)
+        if acting_x != ex or acting_y != ey:
+            acting = acting_x, acting_y
+            firm = firmness((ex, ey), acting, (vx1, vy1), c1, c2, most, speeding)
             c1, c2 = firm * c1, firm * c2
-            return _approaching(message, then, error, (edot_x, edot_y), age, c1, c2, decay, acting)
+            return _approaching(message, then, (ex, ey), (edot_x, edot_y), age, c1, c2, decay, acting)
+    a11, a12, a21, a22, b1, b2, remains = step
     force_x, force_y = fx + gx, fy + gy
     new_x, new_y = a11 * ex + a12 * edot_x + b1 * force_x, a11 * ey + a12 * edot_y + b1 * force_y
     new_vx, new_vy = a21 * ex + a22 * edot_x + b2 * force_x, a21 * ey + a22 * edot_y + b2 * force_y
@@ -141,32 +140,34 @@ def unforced(
     c1: float,
     c2: float,
     most: float | None,
-    speeding: float = 0.0,
+    speeding: float,
+    step: Transition,
 ) -> Place:
     """Where a robot is on which no forces act but those of navigation, and how fast, by (P1) and (N2): to the
     bit what `following` says of it, in half of the time.
 
     Args:
         place: where it was `age` seconds ago, m, and how fast, m/s, W; the others as there.
+        step: `transition` of c1, c2 and `age` without a decay.
     """
     x, y, vx, vy = place
     x0, y0, vx0, vy0, _, _ = since
     x1, y1, vx1, vy1, _, _ = then
     ex, ey, edot_x, edot_y = x - x0, y - y0, vx - vx0, vy - vy0
     if most is not None:
-        acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
-        if acting != error:
-            firm = firmness(error, acting, (vx1, vy1), c1, c2, most, speeding)
+        acting_x, acting_y = acting_error((ex, ey), (vx1, vy1), c1, c2, most)
+        if acting_x != ex or acting_y != ey:
+            firm = firmness((ex, ey), (acting_x, acting_y), (vx1, vy1), c1, c2, most, speeding)
             c1, c2 = firm * c1, firm * c2
             left, rise = _fading(c2, age)
-            aim_x, aim_y = -c1 * acting[0] / c2, -c1 * acting[1] / c2
+            aim_x, aim_y = -c1 * acting_x / c2, -c1 * acting_y / c2
             return (
                 x1 + (ex + aim_x * age + (edot_x - aim_x) * rise),
                 y1 + (ey + aim_y * age + (edot_y - aim_y) * rise),
                 vx1 + (aim_x + (edot_x - aim_x) * left),
                 vy1 + (aim_y + (edot_y - aim_y) * left),
             )
-    a11, a12, a21, a22, _, _, _ = transition(c1, c2, 0.0, age)
+    a11, a12, a21, a22, _, _, _ = step
     return (
         x1 + (a11 * ex + a12 * edot_x),
         y1 + (a11 * ey + a12 * edot_y),
@@ -175,7 +176,6 @@ def unforced(
     )
 
 
-@lru_cache(maxsize=1024)
 def _fading(c2: float, age: float) -> Vector:
     """What is left after `age` seconds of a speed that fades by c2 (1/s), and how far it has led, s: both for
     each m/s of it."""
@@ -230,24 +230,20 @@ def _approaching(
     faded = -expm1(-decay * age) / decay if decay > 0.0 else age
     # Integrals of the force's part.
     of_speed, of_place = (remains - left) / (c2 - decay), (faded - rise) / (c2 - decay)
-    places, speeds, pulls = [], [], []
-    forces = (
-        (message.constraint_x, message.correction_x),
-        (message.constraint_y, message.correction_y),
-    )
-    for e, edot, pull, (constraint, correction) in zip(error, rate, acting, forces, strict=True):
-        force = constraint + correction
-        aim = -c1 * pull / c2
-        speed = aim + (edot - aim) * left + force * of_speed
-        places.append(e + aim * age + (edot - aim) * rise + force * of_place)
-        speeds.append(speed)
-        pulls.append(c2 * (aim - speed) + remains * correction)
+    fx, fy, gx, gy = message.constraint_x, message.constraint_y, message.correction_x, message.correction_y
+    force_x, force_y = fx + gx, fy + gy
+    (ex, ey), (edot_x, edot_y) = error, rate
+    aim_x, aim_y = -c1 * acting[0] / c2, -c1 * acting[1] / c2
+    speed_x = aim_x + (edot_x - aim_x) * left + force_x * of_speed
+    speed_y = aim_y + (edot_y - aim_y) * left + force_y * of_speed
+    place_x = ex + aim_x * age + (edot_x - aim_x) * rise + force_x * of_place
+    place_y = ey + aim_y * age + (edot_y - aim_y) * rise + force_y * of_place
     x, y, vx, vy, ax, ay = then
     return Prediction(
-        (x + places[0], y + places[1]),
-        (vx + speeds[0], vy + speeds[1]),
-        (ax + pulls[0], ay + pulls[1]),
-        (remains * message.constraint_x, remains * message.constraint_y),
+        (x + place_x, y + place_y),
+        (vx + speed_x, vy + speed_y),
+        (ax + (c2 * (aim_x - speed_x) + remains * gx), ay + (c2 * (aim_y - speed_y) + remains * gy)),
+        (remains * fx, remains * fy),
     )
 
 

@@ -10,7 +10,7 @@ from agent.control.caution import PACE, Caution
 from agent.control.hand import Hand
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peers
-from agent.formation.trajectory import Sample
+from agent.formation.reference import Instant
 from agent.messages.types import HandState
 
 pytestmark = pytest.mark.patches
@@ -26,8 +26,8 @@ class Places:
     def __init__(self, one: tuple[float, float], other: tuple[float, float]) -> None:
         self.places = {1: one, 2: other}
 
-    def motion(self, robot: int, _time_ns: int) -> Sample:
-        return *self.places[robot], 0.0, 0.0, 0.0, 0.0
+    def instant(self, _time_ns: int) -> Instant:
+        return Instant((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), self.places)
 
 
 def look(
@@ -38,7 +38,7 @@ def look(
     most: float = 2.0 * MOST,
 ) -> Caution:
     """Robot 1 at (-3, 0) hears robot 2 there, late by so much as usual."""
-    peers = Peers(1, C1, C2, S // 50, places.motion, most=MOST)
+    peers = Peers(1, C1, C2, S // 50, places.instant, most=MOST)
     peers.forecast.epoch_ns = T0
     now = T0 + 10 * S
     message = HandState.placed(2, 5, now - round(late_s * S), True, 1, (*at, 0.0, 0.0))

@@ -11,6 +11,7 @@ from agent.control.couplings import COUPLINGS, Constraint
 from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import Prediction
 from agent.fleet import sections
+from agent.formation.reference import Instant
 from agent.messages.types import HandState
 from deploy.analysis import couplings
 
@@ -28,7 +29,7 @@ def constraint(robot: int, apart_m: float, *, one_sided: bool = False, other: bo
 
 
 def peers() -> Peers:
-    return Peers(1, 0.4, 0.6, S // 50, lambda robot, time_ns: None)
+    return Peers(1, 0.4, 0.6, S // 50, lambda _time: Instant((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), {}))
 
 
 def test_every_coupling_of_the_fleet_file_has_its_classes():

@@ -9,7 +9,7 @@ import pytest
 from agent.control.event_trigger import HEARD_OFF_US, LOOKAHEAD_S, EventTrigger
 from agent.control.peers.forecast import Forecast
 from agent.control.peers.rolling import Rolls
-from agent.formation.trajectory import Sample
+from agent.formation.reference import Instant
 from agent.messages.types import HEARD_ROUNDS, HandState
 
 PERIOD = 20_000_000
@@ -20,8 +20,8 @@ BOUND = 0.005
 SLOPE = 1.3
 
 
-def standing(robot: int, time_ns: int) -> Sample | None:
-    return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0) if robot == 1 else None
+def standing(_time_ns: int) -> Instant:
+    return Instant((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), {1: (0.0, 0.0)})
 
 
 def trigger(**options: Any) -> EventTrigger:

@@ -21,6 +21,7 @@ from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
+from agent.formation.reference import Instant
 from agent.messages.types import Beacon, HandState, Mission
 
 FLEET = """
@@ -42,7 +43,7 @@ class Scene:
 
     def __init__(self, *overrides: str) -> None:
         self.fleet: Fleet = parse_fleet(FLEET, source="here", overrides=overrides)
-        self.peers = Peers(1, 0.4, 0.6, PERIOD, lambda _robot, _time: None)
+        self.peers = Peers(1, 0.4, 0.6, PERIOD, lambda _time: Instant((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), {}))
         self.proximity = Proximity(self.fleet, 1, self.peers)
         self.now = T0
         self.mission(Mission(1, 0, T0, S, ""))

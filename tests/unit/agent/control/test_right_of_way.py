@@ -48,7 +48,7 @@ class Scene:
         control = self.fleet.control
         self.starts = {each.id: start_hand(each) for each in self.fleet.robots}
         self.peers = Peers(
-            robot, control.c1, control.c2, PERIOD, self.reference.motion,
+            robot, control.c1, control.c2, PERIOD, self.reference.instant,
             decay=0.5, most=control.max_speed_mps,
             starts={other: at for other, at in self.starts.items() if other != robot},
             horizon_s=control.prediction_horizon_s,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sys
 from dataclasses import replace
 from typing import cast
@@ -18,7 +19,7 @@ from deploy.cli import main
 from deploy.console.data_files import FLEETS
 from deploy.drive import realtime
 from deploy.drive.preflight import is_simulated, show, summary, to_json
-from deploy.drive.realtime import in_words, lines, trial
+from deploy.drive.realtime import RECORDING_NICE, in_words, lines, trial
 from deploy.drive.vehicle_checks import OK, WARNING, Line
 from deploy.processes.protocol import FleetProcesses
 
@@ -152,3 +153,41 @@ def test_what_the_kernel_may_have_killed_is_said_so_where_it_can_be() -> None:
     assert realtime.ended(fleet(), killed).startswith(f"{killed}; {hint}")
     assert realtime.ended(load_fleet(FLEETS / "delta.toml"), killed) == killed
     assert realtime.ended(fleet(), "exit status 1") == "exit status 1"
+
+
+@pytest.fixture
+def niceness(monkeypatch: pytest.MonkeyPatch) -> dict[int, int]:
+    """What threads of this process have, as the kernel would keep it of one that may do anything."""
+    kept: dict[int, int] = {}
+    monkeypatch.setattr(os, "getpriority", lambda _which, thread: kept.setdefault(thread, 0))
+    monkeypatch.setattr(os, "setpriority", lambda _which, thread, nice: kept.update({thread: nice}))
+    return kept
+
+
+def test_the_command_that_records_a_fleet_in_real_time_goes_before_others_meanwhile(
+    niceness: dict[int, int],
+) -> None:
+    with realtime.recording(fleet()):
+        assert niceness[os.getpid()] == RECORDING_NICE
+    assert set(niceness.values()) == {0}
+
+
+def test_of_another_fleet_it_does_not(niceness: dict[int, int]) -> None:
+    with realtime.recording(replace(fleet(), process=ProcessSection())):
+        assert niceness == {}
+
+
+def test_one_that_was_put_further_ahead_stays_there(niceness: dict[int, int]) -> None:
+    niceness[os.getpid()] = RECORDING_NICE - 5
+    with realtime.recording(fleet()):
+        assert niceness[os.getpid()] == RECORDING_NICE - 5
+    assert niceness[os.getpid()] == RECORDING_NICE - 5
+
+
+def test_where_the_kernel_refuses_it_the_drive_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: int) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "setpriority", refuse)
+    with realtime.recording(fleet()):
+        pass

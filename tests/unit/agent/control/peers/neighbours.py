@@ -8,6 +8,7 @@ from typing import Any
 
 from agent.control.peers.peers import Peers
 from agent.control.peers.prediction import Prediction
+from agent.formation.reference import Instant
 from agent.formation.trajectory import Sample
 from agent.messages.types import Beacon, HandState, Silent
 
@@ -63,13 +64,10 @@ def peers(
     period_ns: int = PERIOD,
     **options: Any,
 ) -> Peers:
-    def motion(robot: int, time_ns: int) -> Sample | None:
-        if robot not in OFFSETS:
-            return None
-        x, y, *rest = reference(time_ns)
-        return x + OFFSETS[robot][0], y + OFFSETS[robot][1], *rest
+    def instant(time_ns: int) -> Instant:
+        return Instant(reference(time_ns), OFFSETS)
 
-    made = Peers(1, C1, C2, period_ns, motion, **options)
+    made = Peers(1, C1, C2, period_ns, instant, **options)
     made.forecast.epoch_ns = epoch_ns
     return made
 

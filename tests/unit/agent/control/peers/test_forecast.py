@@ -31,7 +31,7 @@ def scene() -> tuple[Forecast, Reference]:
     geometry = resolve(fleet)
     reference = Reference(fleet, geometry)
     reference.take(plan_of(Mission(1, 0, T0, 60 * S, ""), fleet, geometry))
-    forecast = Forecast(0.4, 0.9, reference.motion, 0.5, 1.0, 3.0)
+    forecast = Forecast(0.4, 0.9, reference.instant, 0.5, 1.0, 3.0)
     forecast.epoch_ns = T0
     return forecast, reference
 

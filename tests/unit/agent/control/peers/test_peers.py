@@ -45,7 +45,8 @@ def test_a_robot_that_follows_is_carried_along_its_own_way():
         since, then = (
             (a + x, b + y, *rest) for a, b, *rest in map(circling, (T0 + PERIOD, T0 + PERIOD + S // 2))
         )
-        expected = following(said[robot], then, since, 0.5, C1, C2, 0.9, None)
+        step = transition(C1, C2, 0.9, 0.5)
+        expected = following(said[robot], then, since, 0.5, C1, C2, 0.9, None, 0.0, step)
         assert values(predicted(known, robot, T0 + PERIOD + S // 2)) == values(expected)
 
 

@@ -99,7 +99,8 @@ def predicted(
     most: float | None,
     speeding: float = 0.0,
 ) -> Prediction:
-    return following(said, motion(age), motion(0.0), age, C1, C2, decay, most, speeding)
+    step = transition(C1, C2, decay, age)
+    return following(said, motion(age), motion(0.0), age, C1, C2, decay, most, speeding, step)
 
 
 def gap(one: Prediction, other: Prediction) -> float:
