@@ -6,9 +6,9 @@ messages that it stamps; that is left out here.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import inf
-from statistics import median_low
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from agent.fleet.fault_rules import Rule
@@ -52,7 +52,7 @@ def live_sets(recording: Recording) -> list[LiveSet]:
     """
     epoch_ns = recording.epoch_ns or 0
     held: dict[tuple[str, int], dict[int, _Held]] = {}
-    dropped: list[tuple[str, int, int]] = []  # author, version that is over, when
+    dropped: list[tuple[str, int, float]] = []  # author, version that is over, when
     for received_ns, robot, _, message in recording.live_faults:
         author, version = message.author, message.version
         if not robot:
@@ -72,7 +72,7 @@ def live_sets(recording: Recording) -> list[LiveSet]:
                 since.dropped_ns = min(since.dropped_ns, message.time_ns)
     # One robot's word does not decide when a set began or ended for all: what half of its holders say does.
     for (author, version), robots in held.items():
-        dropped.append((author, version - 1, median_low(each.received_ns for each in robots.values())))
+        dropped.append((author, version - 1, _median_low(each.received_ns for each in robots.values())))
     found = []
     ids = recording.ids
     for (author, version), robots in held.items():
@@ -87,7 +87,7 @@ def live_sets(recording: Recording) -> list[LiveSet]:
             rules = named(parse_scenario(message.rules, ids).rules, "live rule")
         except ScenarioError:
             continue  # no node takes such a one either
-        own = median_low(min(each.lease_end_ns, each.dropped_ns) for each in robots.values())
+        own = _median_low(min(each.lease_end_ns, each.dropped_ns) for each in robots.values())
         end_ns = min([own, *over])
         found.append(LiveSet(message, rules, (message.origin_ns - epoch_ns) / 1e9, (end_ns - epoch_ns) / 1e9))
     return sorted(found, key=lambda held: (held.origin_s, held.message.author, held.message.version))
@@ -101,6 +101,12 @@ class _Held:
     received_ns: int
     lease_end_ns: float = 0.0
     dropped_ns: float = inf
+
+
+def _median_low(times: Iterable[float]) -> float:
+    """As of `statistics`, which loads decimals, fractions and random numbers at every start."""
+    ordered = sorted(times)
+    return ordered[(len(ordered) - 1) // 2]
 
 
 def spans(recording: Recording, end_s: float) -> list[Span]:

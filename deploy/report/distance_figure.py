@@ -14,6 +14,7 @@ from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.stability import SETTLED
 from deploy.report.fault_strip import time_axes
 from deploy.report.labels import EndLabel, label_ends
+from deploy.report.layout import GridLayout
 from deploy.report.plotting import (
     DOTTED,
     GREY,
@@ -54,7 +55,7 @@ def distances(result: RunResult) -> Figure:
     """The paper's Fig. 4: the distance of every edge over time, and of every pair without one that came near,
     with the safe distance; above it faults."""
     recording, a = result.recording, result.analysis
-    figure = new_figure(7.6, 4.2)
+    figure = new_figure(7.6, 4.2, GridLayout())
     end = max(float(a.grid[-1]), 1e-3)
     (axes,) = time_axes(figure, recording, end)
     axes.set_ylabel("distance between hand points (m)")

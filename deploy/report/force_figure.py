@@ -9,15 +9,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agent.formation.points import Floats
+from deploy.report.layout import GridLayout
 from deploy.report.plotting import LEGEND_MAX, draw_many, new_figure, note, nth_marked
 from deploy.verdict.run_result import RunResult
 
 Series = tuple[Floats, Floats]
 """Times (k,) s of one robot, and its values (k,)."""
-_UNIT: Final = "per unit mass (m/s²)"
+_PER_MASS: Final = "per unit mass (m/s²)"
+"""Without symbols: matplotlib takes a third as long again for a picture with a formula on it."""
 _PANELS: Final[Mapping[str, tuple[str, Callable[[Any], Series]]]] = {
-    "Navigation force": (f"$|F_n|$ {_UNIT}", lambda robot: (robot.hand.t, _length(robot.hand, "navigation"))),
-    "Constraint force": (f"$|F_c|$ {_UNIT}", lambda robot: (robot.hand.t, _length(robot.hand, "constraint"))),
+    "Navigation force": (_PER_MASS, lambda robot: (robot.hand.t, _length(robot.hand, "navigation"))),
+    "Constraint force": (_PER_MASS, lambda robot: (robot.hand.t, _length(robot.hand, "constraint"))),
     "Force asked of the plant": ("force (N)", lambda robot: (robot.wrench.t, robot.wrench["force"])),
     "Torque asked of the plant": ("torque (N m)", lambda robot: (robot.wrench.t, robot.wrench["torque"])),
 }
@@ -36,11 +38,11 @@ def forces(result: RunResult) -> Figure:
     recording = result.recording
     recorded = _recorded(result)
     if not recorded:
-        figure = new_figure(8.6, 2.9)
+        figure = new_figure(8.6, 2.9, GridLayout())
         note(figure.add_subplot(), "no forces were recorded")
         return figure
     rows = -(-len(recorded) // 2)
-    figure = new_figure(8.6, 2.8 * rows)
+    figure = new_figure(8.6, 2.8 * rows, GridLayout())
     panels = figure.subplots(rows, min(len(recorded), 2), sharex=True, squeeze=False).ravel().tolist()
     for axes in panels[len(recorded) :]:
         axes.remove()

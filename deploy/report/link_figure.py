@@ -14,6 +14,7 @@ from agent.messages.types import LOST
 from deploy.recording.recording import Recording
 from deploy.report.fault_strip import time_axes
 from deploy.report.labels import EndLabel, label_ends
+from deploy.report.layout import GridLayout
 from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
 from deploy.verdict.link_metrics import Ages, ages
 from deploy.verdict.run_result import RunResult
@@ -43,7 +44,7 @@ def links(result: RunResult) -> Figure:
     recording = result.recording
     end = max(recording.end_s, 1e-3)
     lost = _lost(recording, end)
-    figure = new_figure(7.6, 4.2 if lost is None else 5.4)
+    figure = new_figure(7.6, 4.2 if lost is None else 5.4, GridLayout())
     age_axes, *below = time_axes(figure, recording, end, (1.0,) if lost is None else (3.0, 1.0))
     if lost is not None:
         _draw_lost(below[0], *lost)

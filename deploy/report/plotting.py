@@ -7,7 +7,7 @@ which colour-blind readers tell apart; markers and dashes tell lines apart witho
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from io import BytesIO
 from math import cos, sin
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import LayoutEngine
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as CornerPatch
@@ -44,11 +45,13 @@ _MARKS: Final = 7
 """Markers on a line."""
 
 STYLE: Final[dict[str, Any]] = {
+    "font.family": ["DejaVu Sans"],  # of matplotlib: no machine's other fonts are looked for
     "font.size": 9.0,
     "axes.labelsize": 9.0,
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # where it always is here: matplotlib measures all ticks again to find that
     "axes.edgecolor": GREY,
     "axes.labelcolor": INK,
     "axes.linewidth": 0.7,
@@ -75,6 +78,8 @@ _METADATA: Final[Mapping[str, Mapping[str, None]]] = {
     "svg": {"Creator": None, "Date": None, "Format": None, "Type": None},
     "pdf": {"Creator": None, "Producer": None, "CreationDate": None},
 }
+_PNG: Final[Mapping[str, Any]] = {"pil_kwargs": {"compress_level": 3}}
+"""In half the time of its usual 6 a file is 7 % larger."""
 
 
 @contextmanager
@@ -95,26 +100,24 @@ def write(path: Path, draw: Callable[[], Figure], also: Sequence[Path] = ()) -> 
     """
     with styled():
         figure = draw()
+        _lay_out(figure)
         for each in (path, *also):
             kind = each.suffix.removeprefix(".")
+            more = _PNG if kind == "png" else {}
             try:
-                with _laid_out(figure) if kind == "png" else nullcontext():
-                    figure.savefig(each, dpi=DPI, format=kind, metadata=dict(_METADATA[kind]))
+                figure.savefig(each, dpi=DPI, format=kind, metadata=dict(_METADATA[kind]), **more)
             except OSError as error:
                 raise RecordingError(f"cannot write {each}: {error.strerror or error}") from error
 
 
-@contextmanager
-def _laid_out(figure: Figure) -> Iterator[None]:
-    """A context in which all on a figure of `DPI` has its place: matplotlib would draw all of it once more,
-    unseen, to find that."""
+def _lay_out(figure: Figure) -> None:
+    """Gives all on a figure its place, for good: with a layout engine, be it "none", matplotlib would draw it
+    twice for each format, once unseen."""
     engine = figure.get_layout_engine()
     if engine is not None and figure.axes:
         figure.set_dpi(DPI)
         engine.execute(figure)
-        figure.set_layout_engine("none")
-    yield
-    figure.set_layout_engine(engine)
+    figure.set_layout_engine(None)
 
 
 class Picture(Figure):
@@ -126,9 +129,9 @@ class Picture(Figure):
         return out.getvalue()
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches."""
-    figure = Picture(figsize=(width, height), layout="constrained", facecolor="white")
+def new_figure(width: float, height: float, layout: LayoutEngine | None = None) -> Figure:
+    """An empty figure, inches; its layout is matplotlib's "constrained" unless another is given."""
+    figure = Picture(figsize=(width, height), layout=layout or "constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.formation.points import Floats
+from deploy.report.layout import GridLayout
 from deploy.report.plotting import GREY, INK, PALETTE, new_figure, note
 from deploy.verdict.run_result import RunResult
 
@@ -35,7 +36,7 @@ def timing(result: RunResult) -> Figure:
     """
     rows = _rows(result)
     end = max(result.recording.end_s, 1e-3)
-    figure = new_figure(8.6, 2.8 * len(rows) if len(rows) > 1 else 2.9)
+    figure = new_figure(8.6, 2.8 * len(rows) if len(rows) > 1 else 2.9, GridLayout())
     if not rows:
         note(figure.add_subplot(), "no times were recorded")
         return figure

@@ -19,6 +19,7 @@ from deploy.analysis.analysis import Analysis
 from deploy.analysis.silent_bodies import SilentBody, bodies_of
 from deploy.recording.recording import Recording
 from deploy.report.labels import POINTS_PER_INCH, Boxes, along, beside, text_size
+from deploy.report.layout import GridLayout
 from deploy.report.plotting import (
     DASHED,
     DOTTED,
@@ -76,7 +77,7 @@ def trajectories(result: RunResult) -> Figure:
     silent = _not_heard(result)
     frame = _frame(a, ground, silent)
     span = (frame.high - frame.low) * frame.points_per_m / POINTS_PER_INCH
-    figure = new_figure(max(span[0], 3.6) + 0.9, max(span[1], 1.6) + 1.3)
+    figure = new_figure(max(span[0], 3.6) + 0.9, max(span[1], 1.6) + 1.3, GridLayout())
     axes = figure.add_subplot()
     axes.set_aspect("equal")
     axes.set_xlim(frame.low[0], frame.high[0])

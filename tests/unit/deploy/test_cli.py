@@ -113,6 +113,7 @@ HEAVY = (
     "rich",
     "tomli_w",
     "importlib.metadata",
+    "statistics",
 )
 LOADED = """
 import sys

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
 from agent.control.boundaries import Circle, Polygon
-from deploy.report.plotting import body_arrow, draw_boundary, new_figure, nth_marked, quantiles, view
+from deploy.report.plotting import (
+    Picture,
+    body_arrow,
+    draw_boundary,
+    new_figure,
+    nth_marked,
+    quantiles,
+    view,
+    write,
+)
 
 LOW, HIGH = np.array([0.0, 0.0]), np.array([10.0, 4.0])
 SQUARE = [(-1.0, -1.0), (11.0, -1.0), (11.0, 11.0), (-1.0, 11.0)]
@@ -71,3 +83,21 @@ def test_markers_of_lines_that_lie_on_each_other_do_not() -> None:
     assert nth_marked(0, 1)["markevery"] == (0, 1)
     looks = {(each["color"], each["marker"]) for each in (nth_marked(index, 9) for index in range(88))}
     assert len(looks) == 88
+
+
+def test_a_picture_is_drawn_once_for_each_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a layout engine matplotlib draws all of it once more, unseen."""
+    drawn = []
+
+    def counted(figure: Figure, renderer: object) -> None:
+        drawn.append(figure)
+        Figure.draw(figure, renderer)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Picture, "draw", counted)
+    picture = new_figure(3.0, 3.0)
+    picture.add_subplot().set_ylabel("length (m)")
+    write(tmp_path / "one.png", lambda: picture)
+    assert len(drawn) == 1
+    write(tmp_path / "two.png", lambda: picture, [tmp_path / "two.svg", tmp_path / "two.pdf"])
+    assert len(drawn) == 4
+    assert (tmp_path / "two.png").read_bytes() == (tmp_path / "one.png").read_bytes()
