@@ -17,7 +17,7 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.fleet.process_section import ProcessSection
 from agent.messages.key_expressions import ROLES
-from agent.runtime.realtime_granted import KILLED_S, OVERRUN_S, Granted, from_json, said
+from agent.runtime.realtime_granted import KILLED_S, OVERRUN_S, Granted, cores, from_json, said
 from deploy.drive.vehicle_checks import OK, WARNING, Line, sentences
 from deploy.faults.process_actions import Process
 from deploy.processes.command_line import words_of
@@ -79,7 +79,7 @@ class Watch:
 
     def __init__(self, fleet: Fleet, processes: FleetProcesses) -> None:
         self._fleet, self._processes = fleet, processes
-        self._had: set[Process] = set()
+        self._had: dict[Process, Granted] = {}
         self._due_s = 0.0
 
     def begin(self) -> list[str]:
@@ -87,22 +87,40 @@ class Watch:
         if not self._fleet.process.realtime:
             return []
         granted = self._processes.granted()
-        self._had = {process for process, each in granted.items() if each is not None and each.fifo}
+        self._had = {process: each for process, each in granted.items() if each is not None and each.fifo}
         return in_words(self._fleet, granted)
 
     def look(self, at_s: float) -> list[str]:
-        """Sentences without their ends about who has given it up since; `at_s`: of this process's clock."""
+        """Sentences without their ends about who has it no longer as it was; `at_s`: of this process's
+        clock."""
         if not self._had or at_s < self._due_s:
             return []
         self._due_s = at_s + LOOK_S
         granted = self._processes.granted()
-        gone = sorted(process for process in self._had if (has := granted.get(process)) and not has.fifo)
-        self._had.difference_update(gone)
-        return [
-            f"The {role} of robot {robot} has given up real time: it ran for {OVERRUN_S:g} s without "
-            "waiting, and goes on with SCHED_OTHER"
-            for robot, role in gone
-        ]
+        found = []
+        for process, had in sorted(self._had.items()):
+            has = granted.get(process)
+            if has is None or (has.fifo == had.fifo and has.cpus == had.cpus):
+                continue
+            self._had[process] = has
+            found += [_changed(process, had, has)]
+            if not has.fifo:
+                del self._had[process]
+        return found
+
+
+def _changed(process: Process, had: Granted, has: Granted) -> str:
+    """A sentence without its end. Who took it is not to be seen."""
+    robot, role = process
+    if not has.fifo:
+        return (
+            f"The {role} of robot {robot} has real time no longer (SCHED_OTHER): it ran for {OVERRUN_S:g} s "
+            "without waiting and gave it up, which its log says, or somebody took it away"
+        )
+    now, before = f"SCHED_FIFO {has.fifo}", f"SCHED_FIFO {had.fifo}"
+    if has.cpus != had.cpus:
+        now, before = f"{now}, {cores(has.cpus)}", f"{before}, {cores(had.cpus)}"
+    return f"The {role} of robot {robot} has {now} now, which somebody changed from {before}"
 
 
 @contextmanager

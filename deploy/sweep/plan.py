@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from hashlib import blake2b
 from itertools import chain, product
 from math import prod, sqrt
+from re import compile as pattern
 from typing import Any, Final
 
 from agent.common import random_streams
@@ -31,6 +32,8 @@ SIDE_M: Final = 4.0
 GAP_M: Final = 0.3
 GAP_PER_SAFE: Final = 1.25
 """Random starts are at least this times the safe distance apart (and `GAP_M`)."""
+_START: Final = pattern(r"robot\.[^.]+\.(x_m|y_m|heading_rad)")
+"""Fields that random starts decide."""
 _SEED_SHIFT: Final = 11  # seeds of 53 bits: every program that reads the table holds them exactly
 
 
@@ -305,6 +308,12 @@ def _refuse_contradictions(question: Question) -> None:
     for name in names:
         if name in alone:
             raise SweepError(f"--over {name} varies a field that --set fixes: give one of them")
+    started = sorted(field for field in alone | set(names) if _START.fullmatch(field))
+    if question.random_starts is not None and started:
+        raise SweepError(
+            f"--random-starts: draws where robots start and how they stand, {started[0]} as well: leave that "
+            "out, or --random-starts"
+        )
     if question.repeat < 1:
         raise SweepError(f"--repeat must be at least 1, got {question.repeat}")
     runs = prod(len(axis.values) for axis in question.axes) * question.repeat

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import floor, isfinite, log10
 from types import MappingProxyType, UnionType
 from typing import Final, Union, get_args, get_origin
 
@@ -53,7 +53,7 @@ class Range:
     """One field that every run draws, uniform between two numbers in the field's unit.
 
     `text` is the range as it was typed; `unit` that unit, empty without one. Of a field of whole numbers,
-    `whole`, every one in the range is as likely.
+    `whole`, both are such, of any size, and every one in the range is as likely.
     """
 
     field: str
@@ -70,8 +70,17 @@ class Range:
         """What the run with this `fleet.seed` draws, as a plain number; nothing else is drawn with it."""
         share = random_streams.uniform(random_streams.stream("sweep", seed, self.field), 0)
         if self.whole:
-            return str(int(self.low) + int((self.high - self.low + 1.0) * share))
-        return _plain(self.low + (self.high - self.low) * share)
+            low, high = int(self.low), int(self.high)
+            return str(low + ((high - low + 1) * int(share * 2.0**53) >> 53))
+        width = self.high - self.low
+        # Six digits of where in the range, however far that is from 0.
+        digits = 6 + max(0, floor(log10(max(abs(self.low), abs(self.high)) / width)))
+        drawn = f"{self.low + width * share:.{min(digits, 17)}g}"
+        return (
+            drawn
+            if self.low <= float(drawn) <= self.high
+            else _plain(min(max(self.low, float(drawn)), self.high))
+        )
 
     @property
     def ends(self) -> tuple[str, str]:
@@ -82,8 +91,9 @@ class Range:
 
 
 def _plain(number: float) -> str:
-    """A number with six digits, as every program reads it."""
-    return f"{number:.6g}"
+    """A number as every program reads it, with six digits where these say it."""
+    short = f"{number:.6g}"
+    return short if float(short) == number else repr(float(number))
 
 
 def parse_over(text: str, sections: Sections = _NO_SECTIONS) -> Axis | Range:
@@ -120,13 +130,15 @@ def _is_range(value: str) -> bool:
     """Whether it is written as a range, or as one that lacks an end."""
     low, dots, high = (part.strip() for part in value.partition(".."))
     ends = [end for end in (low, high) if end]
-    return bool(dots and ends) and all(_NUMBER.fullmatch(end) for end in ends)
+    return bool(dots) and all(_NUMBER.fullmatch(end) for end in ends)
 
 
 def _range(name: str, written: str, entry: Entry | None) -> Range:
     """The range of a field that is written so; `entry` is the field, None of one that is not known."""
     said = printable(f"--over {name}={written}")
     low, _, high = (part.strip() for part in written.partition(".."))
+    if "..." in written:
+        raise SweepError(f"{said}: a range has two dots, not three; write 0..0.8s for up to 0.8 s")
     if not low or not high:
         raise SweepError(f"{said}: a range needs both ends, such as 0..1.4s")
     if number(low, "") is not None and (match := _NUMBER.fullmatch(high)) is not None:
@@ -146,12 +158,22 @@ def _range(name: str, written: str, entry: Entry | None) -> Range:
             raise SweepError(f"{said}: its ends must be plain numbers{known}, as the field is {of}")
     if numbers is None:
         raise SweepError(f"{said}: its ends must be numbers of one unit")
+    whole = entry is not None and entry.setting.parse is None and _number_types(entry) == {int}
+    if whole:
+        if not all(value.is_integer() for value in numbers):
+            raise SweepError(f"{said}: the field takes whole numbers only, so its ends must be such, as 0..5")
+        numbers = [_whole(end, value) for end, value in zip(ends, numbers, strict=True)]
     if not numbers[0] < numbers[1]:
         raise SweepError(f"{said}: the range must begin below its end, such as 0..1.4s")
-    whole = entry is not None and entry.setting.parse is None and _number_types(entry) == {int}
-    if whole and not all(value.is_integer() for value in numbers):
-        raise SweepError(f"{said}: the field takes whole numbers only, so its ends must be such, as 0..5")
     return Range(name, numbers[0], numbers[1], unit, written, whole)
+
+
+def _whole(text: str, value: float) -> int:
+    """A whole number as it was typed: of one above 2^53 a float has not all digits."""
+    try:
+        return int(text)
+    except ValueError:
+        return int(value)
 
 
 def _accepted(said: str, parse: Callable[[object], object], ends: Sequence[str]) -> tuple[list[float], str]:

@@ -135,8 +135,26 @@ def test_who_gives_real_time_up_in_a_drive_is_named_once() -> None:
     assert there.looks == 2, "a look costs files of each process: one a second is enough"
     there.found = there.found | {(2, "agent"): REFUSED, (3, "plant"): None}
     (sentence,) = watch.look(11.0)
-    said = "The agent of robot 2 has given up real time: it ran for 0.5 s without waiting, and goes on with "
-    assert sentence == f"{said}SCHED_OTHER", "the verdict ends it"
+    said = "The agent of robot 2 has real time no longer (SCHED_OTHER): it ran for 0.5 s without waiting and "
+    assert sentence == f"{said}gave it up, which its log says, or somebody took it away", (
+        "the verdict ends it"
+    )
+    assert watch.look(12.0) == []
+
+
+def test_whose_priority_or_cores_somebody_changes_in_a_drive_is_named_once() -> None:
+    there = Looked()
+    watch = realtime.Watch(fleet(), cast(FleetProcesses, there))
+    watch.begin()
+    there.found = there.found | {
+        (2, "agent"): AGENT._replace(fifo=5),
+        (3, "plant"): PLANT._replace(cpus=(0,)),
+    }
+    assert watch.look(11.0) == [
+        "The agent of robot 2 has SCHED_FIFO 5 now, which somebody changed from SCHED_FIFO 41",
+        "The plant of robot 3 has SCHED_FIFO 42, core 0 now, which somebody changed from SCHED_FIFO 42, "
+        "cores 0-1",
+    ]
     assert watch.look(12.0) == []
 
 

@@ -127,6 +127,11 @@ def test_bad_axis_is_refused_by_name(text: str, says: str) -> None:
             ask("control.kp=1", overrides=("control. kp=2",)),
             "--over control.kp varies a field that --set fixes",
         ),
+        (
+            ask("robot.1.x_m=-3,8", random_starts=0.0),
+            "--random-starts: draws where robots start .* robot.1.x_m",
+        ),
+        (ask("robot.2.heading_rad=0..1", random_starts=0.0), "robot.2.heading_rad as well: leave that out"),
         (ask("control.kp=1", repeat=0), "--repeat must be at least 1, got 0"),
         (ask("control.kp=1,2", repeat=10**6), "2,000,000 runs: at most 1,000,000"),
     ],

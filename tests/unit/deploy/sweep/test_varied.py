@@ -67,6 +67,8 @@ def test_a_unit_of_another_kind_is_refused(over: str, says: str) -> None:
         ("faults.delay=0..", "--over faults.delay=0..: a range needs both ends"),
         ("faults.delay=..1s", "a range needs both ends"),
         ("control.gone.gain=1..", "a range needs both ends"),
+        ("faults.delay=..", "a range needs both ends"),
+        ("faults.delay=0...8s", "a range has two dots, not three"),
     ],
 )
 def test_what_is_half_a_range_is_refused(over: str, says: str) -> None:
@@ -107,6 +109,44 @@ def test_of_a_field_of_whole_numbers_every_one_is_drawn() -> None:
     assert [fleet.faults.seed for fleet in plan.samples(0)] == [3, 5]
     with pytest.raises(SweepError, match="whole numbers only"):
         parse_over("faults.seed=0..2.5")
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        ("149.16521", "149.16524"),
+        ("1000", "1000.0001"),
+        ("1.0000001", "1.0000004"),
+        ("-1.23456789", "-1.23456788"),
+        ("49.9999996", "49.9999999"),
+        ("1e-9", "2e-9"),
+    ],
+)
+def test_what_is_drawn_is_in_its_range_however_narrow_that_is(low: str, high: str) -> None:
+    drawn = parse_over(f"robot.1.x_m={low}..{high}")
+    assert isinstance(drawn, Range)
+    found = [float(drawn.value(seed)) for seed in range(200)]
+    assert float(low) <= min(found) < max(found) <= float(high)
+    assert len(set(found)) > 100
+    assert tuple(map(float, drawn.ends)) == (float(low), float(high))
+
+
+def test_a_wide_range_has_six_digits() -> None:
+    drawn = parse_over("faults.delay=0..1.4s")
+    assert isinstance(drawn, Range)
+    assert max(len(drawn.value(seed).replace(".", "").lstrip("0")) for seed in range(50)) == 6
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(2**53 + 1, 2**53 + 3), (0, 2**63 - 1), (2**63 - 8, 2**63 - 1), (-5, 5)]
+)
+def test_whole_numbers_of_any_size_are_drawn_exactly(low: int, high: int) -> None:
+    drawn = parse_over(f"faults.seed={low}..{high}")
+    assert isinstance(drawn, Range)
+    assert drawn.ends == (str(low), str(high))
+    found = {int(drawn.value(seed)) for seed in range(400)}
+    assert low <= min(found) < max(found) <= high
+    assert len(found) >= min(high - low + 1, 300)
 
 
 def test_a_field_of_a_plugin_is_known_when_the_fleet_is_read(
