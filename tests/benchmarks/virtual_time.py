@@ -35,6 +35,8 @@ REPORTED: Final = 20.0
 LATTICE45: Final = 5.0
 ROBOT_S: Final = 500.0
 """Seconds of a robot that a core simulates in a second."""
+FAULTS: Final = ("faults.delay=0.7s", "faults.loss=25%")
+"""The middle of what robustness is studied over: ways are looked for, and predictions reach far."""
 AS_INSTALLED: Final = {"PYTHONDONTWRITEBYTECODE": ""}
 """Of a command: what it imports is compiled once, not each time anew, whatever runs the benchmarks."""
 LATTICES: Final = ((25, 10.0), (100, 10.0), (500, 10.0))
@@ -110,12 +112,14 @@ def task(fleet: Fleet) -> Task:
 
 
 def delta(repetitions: int) -> list[Figure]:
-    """The delta: loop, command without and with a report, one after the other in each repetition."""
-    fleet = resolved(load_fleet(fleet_path("delta")))
+    """The delta: loop, the same with links that fail, command without and with a report, one after the other
+    in each repetition."""
+    fleet, faulty = (resolved(load_fleet(fleet_path("delta"), given)) for given in ((), FAULTS))
     duration_s = fleet.fleet.duration_s
-    loops, bare, reported = [], [], []
+    loops, failing, bare, reported = [], [], [], []
     for _ in range(repetitions):
         loops.append(loop(fleet))
+        failing.append(loop(faulty))
         bare.append(command("delta", "--no-report"))
         reported.append(command("delta"))
     alone = [took for took, _ in loops]
@@ -130,6 +134,9 @@ def delta(repetitions: int) -> list[Figure]:
     for name, took in (("--no-report", bare), ("with report", reported)):
         ratios = [whole / one for whole, one in zip(took, alone, strict=True)]
         found.append(Figure(f"whole command, {name} / loop", median(ratios), note=spread(ratios)))
+    ratios = [with_faults / without for (_, with_faults), (_, without) in zip(failing, loops, strict=True)]
+    name = f"CPU of the loop, {' and '.join(FAULTS)} / without"
+    found.append(Figure(name, median(ratios), note=spread(ratios)))
     cpu_s = min(cpu for _, cpu in loops)
     ours = len(fleet.robots) * duration_s / cpu_s
     found.append(
