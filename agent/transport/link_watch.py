@@ -33,6 +33,8 @@ PERIOD_NS: Final = NS_PER_S // 2
 """How often all links are looked at."""
 SOON_NS: Final = NS_PER_S // 10
 """While links are opened or lacking, or something has waited on one since the last look."""
+UNSURE_NS: Final = NS_PER_S // 2
+"""A socket to one of the endpoints that has not become a link of Zenoh's for so long is somebody else's."""
 DEAF_NS: Final = 3 * NS_PER_S // 4
 """So long nothing is read from a deaf link."""
 SUSPECTED_NS: Final = DEAF_NS // 3
@@ -127,6 +129,8 @@ class LinkWatch:
         self._opened = opened
         self._links: dict[int, _Link | None] = {}
         self._shut_down: dict[str, int] = {}
+        self._unsure: dict[int, int] = {}
+        """Of sockets of which it was too early to say whether they are links: when they were met first."""
         self._looked_ns = 0
         self.period_ns = PERIOD_NS
         self.calm: list[TcpSocket] | None = None
@@ -140,6 +144,7 @@ class LinkWatch:
             now_ns: of a clock that is never set.
         """
         before, self._links = self._links, {}
+        unsure, self._unsure = self._unsure, {}
         if now_ns - self._looked_ns > self.period_ns + PAUSED_NS:
             for link in before.values():
                 if link is not None:
@@ -151,7 +156,12 @@ class LinkWatch:
         calm: list[TcpSocket] = []
         for each in found:
             with suppress(OSError):  # closed meanwhile
-                link = before[each.inode] if each.inode in before else self._meet(each, now_ns)
+                if each.inode in before:
+                    link = before[each.inode]
+                else:
+                    self._unsure[each.inode] = unsure.get(each.inode, now_ns)
+                    link = self._meet(each, now_ns)
+                    del self._unsure[each.inode]
                 self._links[each.inode] = link
                 if link is None:
                     continue
@@ -173,6 +183,7 @@ class LinkWatch:
                     opening.append((each, link))
         if opening:
             self._look_at_opening(opening, now_ns)
+        waits = waits or bool(self._unsure)
         if self._one_of and not waits:
             waits = all(link is None or link.endpoint not in self._one_of for link in self._links.values())
         self.period_ns = SOON_NS if waits else PERIOD_NS
@@ -222,7 +233,11 @@ class LinkWatch:
             else:
                 there = found.getpeername()[:2]
                 if not found.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY):
-                    return None  # Zenoh has it on all of its own
+                    # Zenoh has it on all of its own, but a moment after they are connected.
+                    met_ns = self._unsure.get(which.inode, now_ns)
+                    if self._endpoint(*there) and now_ns - met_ns < UNSURE_NS:
+                        raise OSError("too early to say")
+                    return None
         endpoint = self._endpoint(*there)
         if not endpoint:
             return None

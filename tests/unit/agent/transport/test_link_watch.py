@@ -271,6 +271,24 @@ def test_sockets_of_others_are_left_alone(bench: Bench, stack: ExitStack) -> Non
         each.send(b"still whole")
 
 
+def test_one_that_is_met_before_zenoh_has_set_it_up_is_a_link_all_the_same(bench: Bench) -> None:
+    """Between connect(2) and TCP_NODELAY, where a process that is short of time may be looked at."""
+    near, far = bench.connect(like_zenoh=False)
+    bench.look(bench.opener)
+    assert (bench.opener.calm, bench.opener.period_ns) == (None, SOON_NS)
+    near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    bench.look(bench.opener)
+    assert bench.opener.reopen(bench.endpoint, bench.sockets.look() or ())
+    assert ended(far)
+
+
+def test_one_that_never_becomes_a_link_is_soon_looked_at_no_more(bench: Bench) -> None:
+    bench.connect(like_zenoh=False)
+    for _ in range(3):
+        bench.look(bench.opener)
+    assert (bench.opener.calm, bench.opener.period_ns) == ([], PERIOD_NS)
+
+
 def test_a_link_is_opened_anew_where_there_is_one(bench: Bench) -> None:
     _, far = bench.connect()
     bench.look(bench.opener)
