@@ -26,12 +26,13 @@ MORE_M: Final = 0.1
 AHEAD_S: Final = 1.0
 """So much further ahead than messages are late it is looked for where ways meet."""
 STEP_S: Final = 0.2
-_AHEAD_NS: Final = round(AHEAD_S * NS_PER_S)
-_STEP_NS: Final = round(STEP_S * NS_PER_S)
+"""Between two instants at which it is looked for."""
 TURNED: Final = 0.05
 """m/s^2: a robot whose acceleration is changed by more than this makes way for somebody."""
 AT_PLACE: Final = 0.9
 """Ways do not meet where places are that near to each other: this share of their distance."""
+_AHEAD_NS: Final = round(AHEAD_S * NS_PER_S)
+_STEP_NS: Final = round(STEP_S * NS_PER_S)
 
 
 class _Point:

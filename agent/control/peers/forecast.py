@@ -49,15 +49,15 @@ LANE_STEPS_MAX: Final = 120
 AT_PLACE: Final = 0.1
 """m: nearer than this it is there."""
 
-STEPS_KEPT: Final = 256
-"""Few ages are asked for in a tick, and the same ones in the next."""
+_STEPS_KEPT: Final = 256
+"""By age: few are asked for in a tick, and the same ones in the next."""
 
 Instants = Callable[[int], Instant]
 """Wall time ns -> the desired motion of all: `agent.formation.reference.Reference.instant`."""
 
 
 class _Step:
-    """A `Transition` that is kept."""
+    """A `Transition` that is kept: in C a tuple of floats in a dictionary is seven objects, this is one."""
 
     __slots__ = ("of",)
 
@@ -104,6 +104,7 @@ class Forecast:
         """A robot at a time of its own clock if it follows its reference, None for one without a place.
 
         Args:
+            instants: the reference that it follows, unless that of this forecast.
             slowly: as seen from its place it goes no faster than this, m/s.
         """
         if instants is None:
@@ -130,7 +131,7 @@ class Forecast:
         )
 
     def _step(self, age_ns: int, decay: float) -> Transition:
-        """`transition` over an age."""
+        """`transition` of the gains and this decay over an age; nothing hashes four floats for it."""
         if decay == 0.0:
             steps = self._free_steps
         else:
@@ -140,7 +141,7 @@ class Forecast:
                 self._steps_decay = decay
         known = steps.get(age_ns)
         if known is None:
-            if len(steps) >= STEPS_KEPT:
+            if len(steps) >= _STEPS_KEPT:
                 steps.clear()
             known = steps[age_ns] = _Step(transition(self._c1, self._c2, decay, age_ns * 1e-9))
         return known.of
