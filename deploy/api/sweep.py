@@ -133,7 +133,7 @@ class Sweep:
         Raises:
             Error: nothing is varied, there is no such quantity, or matplotlib is not installed.
         """
-        from deploy.report.plotting import styled
+        from deploy.report.drawing.plotting import styled
         from deploy.sweep.figures import drawings
 
         if not self.fields and not self._plan.ranges:

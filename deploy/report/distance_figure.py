@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.stability import SETTLED
-from deploy.report.fault_strip import time_axes
-from deploy.report.labels import EndLabel, label_ends
-from deploy.report.layout import GridLayout
-from deploy.report.plotting import (
+from deploy.report.drawing.fault_strip import time_axes
+from deploy.report.drawing.labels import EndLabel, label_ends
+from deploy.report.drawing.layout import GridLayout
+from deploy.report.drawing.plotting import (
     DOTTED,
     GREY,
     INK,

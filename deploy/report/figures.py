@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from deploy.console.arguments import FIGURE_FORMATS
 from deploy.recording.recorder import RecordingError
 from deploy.report import distance_figure, force_figure, link_figure, timing_figure
-from deploy.report.plotting import styled, write
-from deploy.report.side_by_side import side_by_side
+from deploy.report.drawing.plotting import styled, write
+from deploy.report.drawing.side_by_side import side_by_side
 from deploy.report.trajectory_figure import trajectories
 from deploy.verdict.run_result import RunResult
 

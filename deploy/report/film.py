@@ -26,7 +26,17 @@ from deploy.analysis.stability import SETTLED
 from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
 from deploy.playback.series import nearest
 from deploy.recording.recorder import RecordingError
-from deploy.report.plotting import DASHED, GREY, INK, PALETTE, RED, body_arrow, draw_boundary, styled, view
+from deploy.report.drawing.plotting import (
+    DASHED,
+    GREY,
+    INK,
+    PALETTE,
+    RED,
+    body_arrow,
+    draw_boundary,
+    styled,
+    view,
+)
 from deploy.report.whole_file import whole_file
 from deploy.verdict.run_result import RunResult
 

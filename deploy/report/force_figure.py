@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agent.formation.points import Floats
-from deploy.report.layout import GridLayout
-from deploy.report.plotting import LEGEND_MAX, draw_many, new_figure, note, nth_marked
+from deploy.report.drawing.layout import GridLayout
+from deploy.report.drawing.plotting import LEGEND_MAX, draw_many, new_figure, note, nth_marked
 from deploy.verdict.run_result import RunResult
 
 Series = tuple[Floats, Floats]

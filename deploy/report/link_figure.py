@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from agent.formation.points import Floats
 from agent.messages.types import LOST
 from deploy.recording.recording import Recording
-from deploy.report.fault_strip import time_axes
-from deploy.report.labels import EndLabel, label_ends
-from deploy.report.layout import GridLayout
-from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
+from deploy.report.drawing.fault_strip import time_axes
+from deploy.report.drawing.labels import EndLabel, label_ends
+from deploy.report.drawing.layout import GridLayout
+from deploy.report.drawing.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
 from deploy.verdict.link_metrics import Ages, ages
 from deploy.verdict.run_result import RunResult
 

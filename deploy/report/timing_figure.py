@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.formation.points import Floats
-from deploy.report.layout import GridLayout
-from deploy.report.plotting import GREY, INK, PALETTE, new_figure, note
+from deploy.report.drawing.layout import GridLayout
+from deploy.report.drawing.plotting import GREY, INK, PALETTE, new_figure, note
 from deploy.verdict.run_result import RunResult
 
 

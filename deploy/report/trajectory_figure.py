@@ -18,9 +18,9 @@ from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.silent_bodies import SilentBody, bodies_of
 from deploy.recording.recording import Recording
-from deploy.report.labels import POINTS_PER_INCH, Boxes, along, beside, text_size
-from deploy.report.layout import GridLayout
-from deploy.report.plotting import (
+from deploy.report.drawing.labels import POINTS_PER_INCH, Boxes, along, beside, text_size
+from deploy.report.drawing.layout import GridLayout
+from deploy.report.drawing.plotting import (
     DASHED,
     DOTTED,
     GREY,

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from agent.formation.points import Floats
-from deploy.report.plotting import INK, PALETTE, RED, new_figure, write
+from deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure, write
 from deploy.sweep.plan import Plan
 from deploy.sweep.run import Row
 from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown

@@ -76,11 +76,8 @@ class Range:
         # Six digits of where in the range, however far that is from 0.
         digits = 6 + max(0, floor(log10(max(abs(self.low), abs(self.high)) / width)))
         drawn = f"{self.low + width * share:.{min(digits, 17)}g}"
-        return (
-            drawn
-            if self.low <= float(drawn) <= self.high
-            else _plain(min(max(self.low, float(drawn)), self.high))
-        )
+        inside = min(max(self.low, float(drawn)), self.high)  # rounded, it may not be
+        return drawn if inside == float(drawn) else _plain(inside)
 
     @property
     def ends(self) -> tuple[str, str]:
@@ -129,8 +126,7 @@ def parse_over(text: str, sections: Sections = _NO_SECTIONS) -> Axis | Range:
 def _is_range(value: str) -> bool:
     """Whether it is written as a range, or as one that lacks an end."""
     low, dots, high = (part.strip() for part in value.partition(".."))
-    ends = [end for end in (low, high) if end]
-    return bool(dots) and all(_NUMBER.fullmatch(end) for end in ends)
+    return bool(dots) and all(_NUMBER.fullmatch(end) for end in (low, high) if end)
 
 
 def _range(name: str, written: str, entry: Entry | None) -> Range:

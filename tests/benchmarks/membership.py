@@ -32,7 +32,7 @@ from deploy.analysis.analysis import Analysis, analyse
 from deploy.console.arguments import fleet_path
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
-from deploy.report.plotting import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
+from deploy.report.drawing.plotting import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.hand_acceleration import hand_acceleration

@@ -9,7 +9,7 @@ import pytest
 
 from agent.fleet.model import Fleet
 from deploy.report.distance_figure import NAMED_MAX, THIN_MAX, Line, distances, near_edges, near_strangers
-from deploy.report.plotting import GREY
+from deploy.report.drawing.plotting import GREY
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import result_of
 from tests.unit.deploy.synthetic_run import Path, make_fleet, standing, triangle

@@ -14,9 +14,9 @@ from agent.messages import key_expressions
 from deploy.recording.collector import RunData
 from deploy.recording.recorder import RecordingError
 from deploy.report import figures, report
+from deploy.report.drawing.plotting import new_figure
 from deploy.report.figures import remove_figures, write_figures
 from deploy.report.link_figure import _with_gaps
-from deploy.report.plotting import new_figure
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages, triangle

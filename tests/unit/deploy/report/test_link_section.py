@@ -19,9 +19,10 @@ from deploy.recording.link_table import EXACT
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusRows
-from deploy.report import fault_strip, link_figure
+from deploy.report import link_figure
+from deploy.report.drawing import fault_strip
+from deploy.report.drawing.plotting import write
 from deploy.report.link_section import ROWS_MAX, advice, section
-from deploy.report.plotting import write
 from deploy.report.run_folder import rebuild, write_result
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from deploy.faults.lanes import Lane, lanes
 from deploy.faults.process_actions import WORDS
 from deploy.recording.recording import Recording
-from deploy.report.plotting import GREY, INK, PALETTE, RED
+from deploy.report.drawing.plotting import GREY, INK, PALETTE, RED
 
 LANES_MAX: Final = 9
 """Rules with a bar of their own; further ones share the last."""

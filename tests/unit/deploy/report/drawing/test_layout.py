@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from deploy.report import figures
-from deploy.report.layout import GridLayout
-from deploy.report.plotting import new_figure, styled
+from deploy.report.drawing.layout import GridLayout
+from deploy.report.drawing.plotting import new_figure, styled
 from tests.unit.deploy.playback.runs import result_of
 from tests.unit.deploy.synthetic_run import make_fleet, triangle
 

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
 from agent.control.boundaries import Circle, Polygon
-from deploy.report.plotting import (
+from deploy.report.drawing.plotting import (
     Picture,
     body_arrow,
     draw_boundary,

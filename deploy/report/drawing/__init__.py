@@ -1,0 +1,1 @@
+"""What all figures are drawn with: style and marks, layout, labels, faults above the axes, two processes."""
