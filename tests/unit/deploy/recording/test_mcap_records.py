@@ -31,8 +31,8 @@ from tests.unit.deploy.recording.test_recording import rewritten
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=5.0, rate_hz=10.0)
-PREFIX_BYTES, HEAD_BYTES = 9, 40
-"""Of a chunk's record: opcode and length; all before what is packed but the name of its compression."""
+PREFIX_BYTES = 9
+"""Of a record: its opcode and its length."""
 Stamps = dict[str, list[int]]
 """By key, the times (ns) that plants, hands and wrenches carry."""
 
@@ -141,7 +141,8 @@ def is_the_same(damaged: bytes, data: bytes, place: Place) -> bool:
     """Whether a chunk that was changed in what is packed unpacks to the same: a match elsewhere may be as
     good."""
     now, was = (each[place.begin + PREFIX_BYTES : place.end] for each in (damaged, data))
-    if len(damaged) != len(data) or now[:HEAD_BYTES] != was[:HEAD_BYTES]:
+    head = len(was) - len(Chunk.read(ReadDataStream(BytesIO(was))).data)
+    if len(damaged) != len(data) or now[:head] != was[:head]:
         return False
     try:
         return unpacked(now) == unpacked(was)
@@ -180,6 +181,7 @@ SETTINGS = settings(
 @example(where=0.0, length=4096, how="zero", killed=True)
 @example(where=0.06675, length=1, how="missing", killed=True)  # of an index before a chunk
 @example(where=0.8098648945239489, length=1, how="zero", killed=True)  # LZ4 unpacks it to the same bytes
+@example(where=0.581389577888626, length=1, how="other", killed=True)  # of how long is what is packed
 def test_all_is_read_but_the_chunks_that_are_damaged(
     run: Run, tmp_path: Path, where: float, length: int, how: str, killed: bool
 ) -> None:
