@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.fleet.process_section import ProcessSection
+from agent.runtime.realtime_granted import cores
 from deploy.check.finding import Finding
 
 OF_KERNEL: Final = 50
@@ -27,4 +28,19 @@ def check_realtime(fleet: Fleet) -> Iterator[Finding]:
             "process.priority",
             f"{process.priority}: plants get {process.priority_max}, and go before the kernel's threads that "
             f"serve interrupts, which have {OF_KERNEL} (PREEMPT_RT); give at most {most}",
+        )
+
+
+def check_cores(fleet: Fleet, there: Collection[int]) -> Iterator[Finding]:
+    """Which of the cores that robots are to have a computer has not.
+
+    Args:
+        there: numbers of those that it has.
+    """
+    if fleet.process.realtime and (missing := sorted(set(fleet.process.cpus) - set(there))):
+        yield Finding(
+            "warning",
+            "process.cpus",
+            f"this machine has no {cores(missing)}: robots on it would not be kept to these; "
+            f"there are {cores(sorted(there))}",
         )

@@ -69,7 +69,7 @@ def measured_for(fleet: Fleet) -> Machine:
 def _used_by(fleet: Fleet, machine: Machine) -> Machine:
     """The machine as robots use it that run on cores of their own, which this process may not use."""
     process = fleet.process
-    there = set(process.cpus) & set(_online()) if process.realtime else set()
+    there = set(process.cpus) & set(online()) if process.realtime else set()
     if not there:  # or what they ask for is refused
         return machine
     together = len(there | os.sched_getaffinity(0))
@@ -78,7 +78,7 @@ def _used_by(fleet: Fleet, machine: Machine) -> Machine:
     )
 
 
-def _online() -> tuple[int, ...]:
+def online() -> tuple[int, ...]:
     """The processors of this machine; those that this process may use, where it does not tell."""
     with suppress(OSError, ValueError):
         return cpu_list(ONLINE.read_text())

@@ -26,18 +26,26 @@ def _check(options: argparse.Namespace) -> int:
 
     fleet = load_unresolved(options)
     print(describe(fleet))
-    findings = [*check(fleet), *_capacity(fleet)]
+    findings = [*check(fleet), *_of_this_machine(fleet)]
     for finding in findings:
         print(finding)
     return BAD_INPUT if any(finding.level == "error" for finding in findings) else PASSED
 
 
-def _capacity(fleet: Fleet) -> Sequence[Finding]:
-    """Whether this machine carries a fleet that `handfast run` would have on it."""
+def _of_this_machine(fleet: Fleet) -> Sequence[Finding]:
+    """Whether this machine carries a fleet that `handfast run` would have on it, and has the cores for it."""
     from deploy.check.load.capacity import check_capacity, is_looked_at
+    from deploy.check.realtime import check_cores
 
-    if not is_looked_at(fleet) or any(robot.host for robot in fleet.robots):
+    if any(robot.host for robot in fleet.robots):
         return ()
-    from deploy.processes.machine import measured_for
+    findings: list[Finding] = []
+    if fleet.process.realtime and fleet.process.cpus:
+        from deploy.processes.machine import online
 
-    return tuple(check_capacity(fleet, measured_for(fleet)))
+        findings += check_cores(fleet, online())
+    if is_looked_at(fleet):
+        from deploy.processes.machine import measured_for
+
+        findings += check_capacity(fleet, measured_for(fleet))
+    return findings

@@ -418,6 +418,13 @@ def test_nothing_is_measured_for_a_small_fleet_or_one_on_hosts(
     assert main(["check", str(path)]) == 0
 
 
+def test_check_names_cores_that_this_machine_has_not(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "pair", "--set", "process.realtime=true", "--set", "process.cpus=[1023]"]) == 0
+    assert "warning: process.cpus: this machine has no core 1023: " in capsys.readouterr().out
+    assert main(["check", "pair", "--set", "process.cpus=[0,0]"]) == 2
+    assert "process.cpus: core 0 is given twice" in capsys.readouterr().err
+
+
 def test_numpy_of_the_command_has_one_thread_unless_somebody_says_otherwise() -> None:
     """Two that spin for each other on processors that others use make a `check` of a second take twelve."""
     code = (

@@ -33,6 +33,8 @@ def test_cores_are_numbers_and_bad_ones_are_named() -> None:
     assert fleet("[process]\ncpus = [2, 3]").process.cpus == (2, 3)
     with pytest.raises(FleetError, match=r"process.cpus\[2\]: must be between 0 and 1023, got -1"):
         fleet("[process]\ncpus = [0, -1]")
+    with pytest.raises(FleetError, match=r"process.cpus: core 2 is given twice"):
+        fleet("[process]\ncpus = [2, 3, 2]")
 
 
 def test_robots_need_not_agree_on_it_and_it_comes_back_from_its_file() -> None:

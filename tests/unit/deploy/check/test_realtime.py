@@ -8,7 +8,7 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.fleet.process_section import ProcessSection
-from deploy.check.realtime import check_realtime
+from deploy.check.realtime import check_cores, check_realtime
 from deploy.console.data_files import FLEETS
 
 DELTA = load_fleet(FLEETS / "delta.toml")
@@ -35,3 +35,16 @@ def test_what_would_be_right_is_said() -> None:
     (found,) = check_realtime(replace(DELTA, process=ProcessSection(realtime=True, priority=60)))
     assert found.message.endswith("give at most 47")
     assert "plants get 62" in found.message
+
+
+def test_cores_that_a_machine_has_not_are_named_with_those_that_it_has() -> None:
+    fleet = replace(DELTA, process=ProcessSection(realtime=True, cpus=(1, 7, 9)))
+    (found,) = check_cores(fleet, (0, 1, 2, 3))
+    assert (found.level, found.place) == ("warning", "process.cpus")
+    assert found.message.startswith("this machine has no cores 7, 9: ")
+    assert found.message.endswith("there are cores 0-3")
+
+
+@pytest.mark.parametrize("process", [ProcessSection(cpus=(9,)), ProcessSection(realtime=True, cpus=(0,))])
+def test_cores_that_are_there_or_that_nobody_asks_for_need_no_word(process: ProcessSection) -> None:
+    assert not list(check_cores(replace(DELTA, process=process), (0, 1)))

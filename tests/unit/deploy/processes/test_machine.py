@@ -130,7 +130,7 @@ def test_the_program_beside_hears_no_ctrl_c_and_ends_with_whoever_started_it() -
 def test_robots_on_cores_of_their_own_have_no_more_than_those(monkeypatch: pytest.MonkeyPatch) -> None:
     """And these count though this process may not use them itself."""
     monkeypatch.setattr(machine, "measured", lambda: Machine(1.0, 9.0))
-    monkeypatch.setattr(machine, "_online", lambda: (0, 1, 2))
+    monkeypatch.setattr(machine, "online", lambda: (0, 1, 2))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
     monkeypatch.setattr(machine, "_quota", lambda *_: inf)
     delta = load_fleet(FLEETS / "delta.toml")
