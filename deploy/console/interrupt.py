@@ -34,6 +34,11 @@ def remembered() -> Iterator[None]:
     signal.signal(signal.SIGINT, _raise)
     try:
         yield
+    except RuntimeError as error:
+        # What `__set_name__` raises Python 3.11 wraps: a class of settings was being made.
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise error.__cause__ from None
+        raise
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _unanswered.clear()

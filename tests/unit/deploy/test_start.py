@@ -8,6 +8,10 @@ import sys
 
 import pytest
 
+from tests.process.harness import ROOT
+
+PATH = f"import sys; sys.path.insert(0, {str(ROOT)!r}); "
+
 INTERRUPTED_WHILE_IT_LOADS = """
 import os, signal, sys
 
@@ -32,3 +36,10 @@ def test_ctrl_c_while_it_loads_says_nothing(more: str, status: int) -> None:
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (status, "")
     assert ("handfast check delta" in done.stdout) == (status == 0), "who ignores it begins"
+
+
+def test_nothing_that_takes_time_is_loaded_before_it() -> None:
+    source = "import sys; before = set(sys.modules); import deploy.start; print(*set(sys.modules) - before)"
+    done = subprocess.run([sys.executable, "-I", "-S", "-c", PATH + source], capture_output=True, text=True)
+    assert set(done.stdout.split()) <= {"__future__", "deploy", "deploy.start"}, done.stderr
+    assert done.stdout

@@ -41,6 +41,18 @@ def test_one_that_was_swallowed_is_raised_again() -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+class InterruptsItsClass:
+    def __set_name__(self, owner: type, name: str) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_one_that_came_while_a_class_was_made_is_none_of_its_errors() -> None:
+    with pytest.raises(KeyboardInterrupt), remembered():
+        type("Made", (), {"field": InterruptsItsClass()})
+    with pytest.raises(RuntimeError, match="another"), remembered():
+        raise RuntimeError("another")
+
+
 def test_it_is_forgotten_with_its_command() -> None:
     with remembered():
         swallowed()
