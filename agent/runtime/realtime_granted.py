@@ -19,6 +19,12 @@ from typing import Any, Final, NamedTuple
 from agent.fleet.process_section import ProcessSection
 
 PRIORITY_MAX: Final = 99
+SCHED_FIFO: Final = 1
+POLICIES: Final = {
+    0: "SCHED_OTHER", SCHED_FIFO: "SCHED_FIFO", 2: "SCHED_RR", 3: "SCHED_BATCH", 5: "SCHED_IDLE",
+    6: "SCHED_DEADLINE",
+}  # fmt: skip
+"""Scheduling policies by Linux's numbers, of which `os` has not all."""
 LIMITS: Final = {"rtprio": "Max realtime priority", "memlock": "Max locked memory"}
 """Limits as /proc/PID/limits names them: those of other processes cannot be asked for by getrlimit(2)."""
 CAP_IPC_LOCK: Final = 14
@@ -38,6 +44,29 @@ IN_LOGINS: Final = (
 )
 
 
+class Thread(NamedTuple):
+    """How the kernel schedules one thread, sched(7).
+
+    Attributes:
+        number, name: as the kernel has them.
+        policy: `SCHED_FIFO` or another one.
+        priority: 1 to 99 under SCHED_FIFO and SCHED_RR.
+        cpus: cores on which it may run.
+    """
+
+    number: int
+    name: str
+    policy: int
+    priority: int
+    cpus: tuple[int, ...]
+
+    @property
+    def scheduling(self) -> str:
+        """Its policy and what priority it has there, as 'SCHED_FIFO 41'."""
+        policy = POLICIES.get(self.policy, f"scheduling policy {self.policy}")
+        return f"{policy} {self.priority}" if self.priority else policy
+
+
 class Granted(NamedTuple):
     """What a process has.
 
@@ -49,6 +78,7 @@ class Granted(NamedTuple):
         rtprio: the highest priority that it might ask for (RLIMIT_RTPRIO).
         memlock: how much memory it might lock, bytes (RLIMIT_MEMLOCK); -1: any.
         privileged: it has CAP_SYS_NICE, so that its limit does not count.
+        threads: all of its threads, the main one first.
     """
 
     fifo: int
@@ -58,6 +88,7 @@ class Granted(NamedTuple):
     rtprio: int
     memlock: int
     privileged: bool
+    threads: tuple[Thread, ...] = ()
 
 
 class Said(NamedTuple):
@@ -74,18 +105,37 @@ def look(pid: int) -> Granted | None:
     """What a process has, by its number; None where it is gone, or this is no Linux."""
     with suppress(OSError, ValueError, LookupError, AttributeError):
         status = _fields(f"/proc/{pid}/status")
-        policy = os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK
         limits = Path(f"/proc/{pid}/limits").read_text()
+        main, others = _thread(pid, pid), _threads(pid)
         return Granted(
-            fifo=os.sched_getparam(pid).sched_priority if policy == os.SCHED_FIFO else 0,
-            cpus=tuple(sorted(os.sched_getaffinity(pid))),
+            fifo=main.priority if main.policy == SCHED_FIFO else 0,
+            cpus=main.cpus,
             there=cpu_list(ONLINE.read_text()),
             locked=int(status["VmLck"].split()[0]) > 0,
             rtprio=_limit(limits, LIMITS["rtprio"], PRIORITY_MAX),
             memlock=_limit(limits, LIMITS["memlock"], -1),
             privileged=_has(status, CAP_SYS_NICE),
+            threads=(main, *others),
         )
     return None
+
+
+def _threads(pid: int) -> Iterator[Thread]:
+    """Those of a process but its main one."""
+    for number in sorted(map(int, os.listdir(f"/proc/{pid}/task"))):
+        if number != pid:
+            with suppress(OSError):  # it has ended
+                yield _thread(pid, number)
+
+
+def _thread(pid: int, number: int) -> Thread:
+    return Thread(
+        number,
+        Path(f"/proc/{pid}/task/{number}/comm").read_text().rstrip("\n"),
+        os.sched_getscheduler(number) & ~os.SCHED_RESET_ON_FORK,
+        os.sched_getparam(number).sched_priority,
+        tuple(sorted(os.sched_getaffinity(number))),
+    )
 
 
 def is_capable(capability: int) -> bool:
@@ -201,7 +251,9 @@ def from_json(value: Any) -> Granted | None:
     if value is None:
         return None
     try:
-        fifo, cpus, there, locked, rtprio, memlock, privileged = (value[name] for name in Granted._fields)
+        fifo, cpus, there, locked, rtprio, memlock, privileged = (
+            value[name] for name in Granted._fields[:-1]
+        )
         return Granted(
             int(fifo),
             tuple(map(int, cpus)),
@@ -210,6 +262,10 @@ def from_json(value: Any) -> Granted | None:
             int(rtprio),
             int(memlock),
             bool(privileged),
+            tuple(
+                Thread(int(number), str(name), int(policy), int(priority), tuple(map(int, on)))
+                for number, name, policy, priority, on in value.get("threads", ())  # a host may have less
+            ),
         )
     except (TypeError, LookupError) as error:
         raise ValueError(f"no answer about real time: {type(error).__name__}") from None

@@ -37,10 +37,12 @@ def check_cores(fleet: Fleet, there: Collection[int]) -> Iterator[Finding]:
     Args:
         there: numbers of those that it has.
     """
-    if fleet.process.realtime and (missing := sorted(set(fleet.process.cpus) - set(there))):
+    wanted = set(fleet.process.cpus)
+    if fleet.process.realtime and (missing := sorted(wanted - set(there))):
+        left = sorted(wanted & set(there))
+        kept = f"would have {cores(left)} alone" if left else "would be kept to none"
         yield Finding(
             "warning",
             "process.cpus",
-            f"this machine has no {cores(missing)}: robots on it would not be kept to these; "
-            f"there are {cores(sorted(there))}",
+            f"this machine has no {cores(missing)}: robots on it {kept}; it has {cores(sorted(there))}",
         )

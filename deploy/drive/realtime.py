@@ -17,7 +17,16 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.fleet.process_section import ProcessSection
 from agent.messages.key_expressions import ROLES
-from agent.runtime.realtime_granted import KILLED_S, OVERRUN_S, Granted, cores, from_json, said
+from agent.runtime.realtime_granted import (
+    KILLED_S,
+    OVERRUN_S,
+    POLICIES,
+    Granted,
+    Thread,
+    cores,
+    from_json,
+    said,
+)
 from deploy.drive.vehicle_checks import OK, WARNING, Line, sentences
 from deploy.faults.process_actions import Process
 from deploy.processes.command_line import words_of
@@ -26,6 +35,7 @@ from deploy.processes.protocol import FleetProcesses
 NAME: Final = "realtime"
 TRIAL: Final = "agent.runtime.realtime"
 TRIAL_S: Final = 20.0
+GIVEN_UP: Final = POLICIES[0]
 _TASKS: Final = Path("/proc/self/task")
 LOOK_S: Final = 1.0
 """How often is looked whether processes have real time still."""
@@ -100,27 +110,37 @@ class Watch:
         found = []
         for process, had in sorted(self._had.items()):
             has = granted.get(process)
-            if has is None or (has.fifo == had.fifo and has.cpus == had.cpus):
-                continue
-            self._had[process] = has
-            found += [_changed(process, had, has)]
-            if not has.fifo:
-                del self._had[process]
+            if has is not None:
+                self._had[process] = has
+                found += _changed(process, had, has)
         return found
 
 
-def _changed(process: Process, had: Granted, has: Granted) -> str:
-    """A sentence without its end. Who took it is not to be seen."""
+def _changed(process: Process, had: Granted, has: Granted) -> Iterator[str]:
+    """Sentences without their ends. Who took it is not to be seen; threads that are new are not its own."""
     robot, role = process
-    if not has.fifo:
-        return (
-            f"The {role} of robot {robot} has real time no longer (SCHED_OTHER): it ran for {OVERRUN_S:g} s "
+    before = {(each.number, each.name): each for each in had.threads}
+    changed: dict[tuple[str, str], list[Thread]] = {}
+    for each in has.threads:
+        was = before.get((each.number, each.name), each)
+        then, now = was.scheduling, each.scheduling
+        if was.cpus != each.cpus:
+            then, now = f"{then}, {cores(was.cpus)}", f"{now}, {cores(each.cpus)}"
+        if then != now:
+            changed.setdefault((then, now), []).append(each)
+    if had.fifo and has.threads[0].scheduling == GIVEN_UP:
+        yield (
+            f"The {role} of robot {robot} has real time no longer ({GIVEN_UP}): it ran for {OVERRUN_S:g} s "
             "without waiting and gave it up, which its log says, or somebody took it away"
         )
-    now, before = f"SCHED_FIFO {has.fifo}", f"SCHED_FIFO {had.fifo}"
-    if has.cpus != had.cpus:
-        now, before = f"{now}, {cores(has.cpus)}", f"{before}, {cores(had.cpus)}"
-    return f"The {role} of robot {robot} has {now} now, which somebody changed from {before}"
+        changed = {key: each for key, each in changed.items() if not key[1].startswith(GIVEN_UP)}
+    for (then, now), threads in changed.items():
+        whose = f"the {role} of robot {robot}"
+        if threads[0] is not has.threads[0]:  # not its loop
+            names = sorted({each.name for each in threads})
+            whose = f"thread{'s' * (len(names) > 1)} {', '.join(names)} of {whose}"
+        have = "have" if whose.startswith("threads") else "has"
+        yield f"{whose[0].upper()}{whose[1:]} {have} {now} now, which somebody changed from {then}"
 
 
 @contextmanager

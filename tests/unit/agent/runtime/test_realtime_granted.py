@@ -106,7 +106,10 @@ def test_what_is_printed_for_who_looks_over_ssh_is_read_back(capsys: pytest.Capt
     assert from_json(mine) == look(os.getpid())
     assert from_json(gone) is None
     assert from_json(json.loads(to_json(ALL))) == ALL
-    for wrong in ({}, {**ALL._asdict(), "cpus": 7}, [], "x"):
+    before = ALL._asdict()
+    del before["threads"]
+    assert from_json(before) == ALL, "a host may have an older version"
+    for wrong in ({}, {**ALL._asdict(), "cpus": 7}, {**ALL._asdict(), "threads": 7}, [], "x"):
         with pytest.raises(ValueError, match=r"no answer about real time|invalid literal"):
             from_json(wrong)
 

@@ -41,8 +41,11 @@ def test_cores_that_a_machine_has_not_are_named_with_those_that_it_has() -> None
     fleet = replace(DELTA, process=ProcessSection(realtime=True, cpus=(1, 7, 9)))
     (found,) = check_cores(fleet, (0, 1, 2, 3))
     assert (found.level, found.place) == ("warning", "process.cpus")
-    assert found.message.startswith("this machine has no cores 7, 9: ")
-    assert found.message.endswith("there are cores 0-3")
+    assert found.message == (
+        "this machine has no cores 7, 9: robots on it would have core 1 alone; it has cores 0-3"
+    )
+    (found,) = check_cores(replace(fleet, process=ProcessSection(realtime=True, cpus=(7,))), (0,))
+    assert "robots on it would be kept to none; it has core 0" in found.message
 
 
 @pytest.mark.parametrize("process", [ProcessSection(cpus=(9,)), ProcessSection(realtime=True, cpus=(0,))])

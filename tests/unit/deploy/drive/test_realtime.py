@@ -14,7 +14,7 @@ import pytest
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.fleet.process_section import ProcessSection
-from agent.runtime.realtime_granted import Granted
+from agent.runtime.realtime_granted import SCHED_FIFO, Granted, Thread
 from deploy.cli import main
 from deploy.console.data_files import FLEETS
 from deploy.drive import realtime
@@ -24,9 +24,30 @@ from deploy.drive.vehicle_checks import OK, WARNING, Line
 from deploy.processes.protocol import FleetProcesses
 
 ASKED = ProcessSection(realtime=True)
-AGENT = Granted(41, (0, 1), (0, 1), locked=True, rtprio=42, memlock=-1, privileged=False)
-PLANT = AGENT._replace(fifo=42)
-REFUSED = Granted(0, (0, 1), (0, 1), locked=True, rtprio=0, memlock=-1, privileged=False)
+LINKS = (Thread(11, "app-0", SCHED_FIFO, 40, (0, 1)), Thread(12, "app-1", SCHED_FIFO, 40, (0, 1)))
+SCHED_OTHER, SCHED_RR, SCHED_BATCH = 0, 2, 3
+
+
+def has(
+    policy: int, priority: int, cpus: tuple[int, ...] = (0, 1), links: tuple[Thread, ...] = LINKS
+) -> Granted:
+    """What a process has whose main thread has that."""
+    main_thread = Thread(10, "python", policy, priority, cpus)
+    fifo = priority if policy == SCHED_FIFO else 0
+    return Granted(
+        fifo,
+        cpus,
+        (0, 1),
+        locked=True,
+        rtprio=42,
+        memlock=-1,
+        privileged=False,
+        threads=(main_thread, *links),
+    )
+
+
+AGENT, PLANT = has(SCHED_FIFO, 41), has(SCHED_FIFO, 42)
+REFUSED = has(SCHED_OTHER, 0)._replace(rtprio=0)
 
 
 def fleet() -> Fleet:
@@ -142,20 +163,68 @@ def test_who_gives_real_time_up_in_a_drive_is_named_once() -> None:
     assert watch.look(12.0) == []
 
 
-def test_whose_priority_or_cores_somebody_changes_in_a_drive_is_named_once() -> None:
+CHANGED = [
+    (
+        has(SCHED_FIFO, 5),
+        ["The agent of robot 2 has SCHED_FIFO 5 now, which somebody changed from SCHED_FIFO 41"],
+    ),
+    (
+        has(SCHED_FIFO, 41, (0,)),
+        [
+            "The agent of robot 2 has SCHED_FIFO 41, core 0 now, which somebody changed from SCHED_FIFO 41, "
+            "cores 0-1"
+        ],
+    ),
+    (
+        has(SCHED_RR, 41),
+        ["The agent of robot 2 has SCHED_RR 41 now, which somebody changed from SCHED_FIFO 41"],
+    ),
+    (
+        has(SCHED_BATCH, 0),
+        ["The agent of robot 2 has SCHED_BATCH now, which somebody changed from SCHED_FIFO 41"],
+    ),
+    (
+        has(SCHED_FIFO, 41, links=tuple(each._replace(policy=SCHED_OTHER, priority=0) for each in LINKS)),
+        [
+            "Threads app-0, app-1 of the agent of robot 2 have SCHED_OTHER now, which somebody changed from "
+            "SCHED_FIFO 40"
+        ],
+    ),
+    (
+        has(SCHED_FIFO, 41, links=(LINKS[0]._replace(cpus=(1,)), LINKS[1])),
+        [
+            "Thread app-0 of the agent of robot 2 has SCHED_FIFO 40, core 1 now, which somebody changed from "
+            "SCHED_FIFO 40, cores 0-1"
+        ],
+    ),
+    # What ended and what came since: a thread of a plugin, or the number of one given to another.
+    (has(SCHED_FIFO, 41, links=(LINKS[0], Thread(12, "numpy", SCHED_OTHER, 0, (0, 1)))), []),
+    (has(SCHED_FIFO, 41, links=()), []),
+]
+
+
+@pytest.mark.parametrize(("found", "sentences"), CHANGED)
+def test_whose_scheduling_somebody_changes_in_a_drive_is_named_once(
+    found: Granted, sentences: list[str]
+) -> None:
     there = Looked()
     watch = realtime.Watch(fleet(), cast(FleetProcesses, there))
     watch.begin()
-    there.found = there.found | {
-        (2, "agent"): AGENT._replace(fifo=5),
-        (3, "plant"): PLANT._replace(cpus=(0,)),
-    }
-    assert watch.look(11.0) == [
-        "The agent of robot 2 has SCHED_FIFO 5 now, which somebody changed from SCHED_FIFO 41",
-        "The plant of robot 3 has SCHED_FIFO 42, core 0 now, which somebody changed from SCHED_FIFO 42, "
-        "cores 0-1",
-    ]
+    there.found = there.found | {(2, "agent"): found}
+    assert watch.look(11.0) == sentences
     assert watch.look(12.0) == []
+
+
+def test_what_is_changed_again_is_said_again() -> None:
+    there = Looked()
+    watch = realtime.Watch(fleet(), cast(FleetProcesses, there))
+    watch.begin()
+    there.found = there.found | {(2, "agent"): has(SCHED_RR, 7)}
+    assert len(watch.look(11.0)) == 1
+    there.found = there.found | {(2, "agent"): AGENT}
+    assert watch.look(12.0) == [
+        "The agent of robot 2 has SCHED_FIFO 41 now, which somebody changed from SCHED_RR 7"
+    ]
 
 
 def test_nobody_looks_at_a_fleet_that_does_not_ask_for_it() -> None:
