@@ -24,10 +24,11 @@ from matplotlib.patches import Rectangle
 
 from agent.formation.points import Floats
 from deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure, write
+from deploy.sweep.drawn_figure import runs_at_their_draws
 from deploy.sweep.plan import Plan
 from deploy.sweep.run import Row
 from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
-from deploy.sweep.varied import Axis, Range
+from deploy.sweep.varied import Axis
 
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""
@@ -121,7 +122,7 @@ def drawings(
     """What makes each picture of a sweep, by its name; arguments as `write_sweep_figures`'s."""
     made: dict[str, Callable[[], Figure]] = {}
     if plan.ranges:
-        made[DRAWN] = partial(scatter, plan, rows)
+        made[DRAWN] = partial(runs_at_their_draws, plan, rows)
     if not plan.axes:
         return made
     if len(plan.axes) == 1:
@@ -391,61 +392,6 @@ def _line(
         return
     axes.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0)
     axes.plot(x, middle, "o-", color=color, linewidth=1.5, markersize=4, label=label)
-
-
-# --- fields that are drawn: a point for each run -----------------------------------------------
-
-
-def scatter(plan: Plan, rows: Mapping[int, Row]) -> Figure:
-    """Every run at what it has drawn: two fields across and up, of one field the settling time up.
-
-    Its colour is when it settled; what did not, was unsafe or did not finish lies on top.
-    """
-    drawn = np.array([[float(value) for value in plan.drawn(run)] for run in range(plan.runs)])
-    every = [rows[run] for run in range(plan.runs)]
-    times = _floats([row.numbers.get(SETTLING) if row.settled else None for row in every])
-    x = drawn[:, 0]
-    y = drawn[:, 1] if len(plan.ranges) > 1 else np.nan_to_num(times)
-    figure = new_figure(8.6, 5.2)
-    axes = figure.subplots()
-    size = float(np.clip(6000.0 / len(every), 2.0, 30.0))
-    settled = np.array([row.settled is True for row in every])
-    if settled.any():
-        dots = axes.scatter(
-            x[settled], y[settled], c=times[settled], s=size, cmap=f"{_MAP}_r", linewidths=0, rasterized=True
-        )
-        if len(plan.ranges) > 1:
-            bar = figure.colorbar(dots, ax=axes, pad=0.02, label="settling time (s)")
-            bar.outline.set_visible(False)
-    for label, marker, color, chosen in (
-        ("not settled", "x", PALETTE[1], [row.settled is False for row in every]),
-        ("not finished", "s", INK, [row.settled is None for row in every]),
-        ("unsafe", "D", RED, [row.safe is False for row in every]),
-    ):
-        which = np.array(chosen)
-        if which.any():
-            axes.scatter(
-                x[which], y[which], s=22.0, marker=marker, color=color, label=f"{which.sum()} {label}"
-            )
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="best")
-    axes.set_xlim(*_whole(plan.ranges[0]))  # that nothing was drawn somewhere is to be seen
-    if len(plan.ranges) > 1:
-        axes.set_ylim(*_whole(plan.ranges[1]))
-    axes.set_xlabel(_range_label(plan.ranges[0]))
-    axes.set_ylabel(_range_label(plan.ranges[1]) if len(plan.ranges) > 1 else "settling time (s)")
-    axes.set_title(f"{len(every)} runs, {settled.sum()} settled")
-    return figure
-
-
-def _whole(drawn: Range) -> tuple[float, float]:
-    """Limits of an axis that shows all of a range."""
-    edge = 0.02 * (drawn.high - drawn.low)
-    return drawn.low - edge, drawn.high + edge
-
-
-def _range_label(drawn: Range) -> str:
-    return f"{drawn.field} ({drawn.unit})" if drawn.unit else drawn.field
 
 
 def _floats(values: Sequence[float | None]) -> Floats:
