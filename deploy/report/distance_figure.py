@@ -44,6 +44,8 @@ _NOTE_MAX: Final = 60
 """Characters of a note that are drawn."""
 _PLOT_IN: Final = 3.2
 """The axes are at least so high, inches."""
+_LINE_IN: Final = 0.17
+"""A line of text, inches."""
 
 
 def worth_drawing(result: RunResult) -> bool:
@@ -260,14 +262,28 @@ def _mark_closest(axes: Axes, a: Analysis) -> None:
     value, t, (i, j) = a.closest
     end = float(a.grid[-1])
     axes.plot(t, value, "v", color=INK, markersize=5, zorder=6, clip_on=False)
-    # Written below the safe distance, where no line should be.
     left = t > 0.45 * end
+    aside = (-0.02 if left else 0.02) * end
+    x, y, joined = t + aside, _beside_closest(value, a.safe_m, axes.get_ylim()[1]), True
+    if y is None:  # on lines, which are seen through it
+        x, y, joined = t + aside / 2, value + _LINE_IN / _PLOT_IN * axes.get_ylim()[1], False
+    leader = {"arrowstyle": "-", "color": GREY, "linewidth": 0.7, "relpos": (1.0 if left else 0.0, 0.5)}
     axes.annotate(
-        f"closest: {value:.3f} m ({i}–{j}, {t:.1f} s)", (t, value),
-        xytext=(t + (-0.02 if left else 0.02) * end, a.safe_m / 2), textcoords="data",
+        f"closest: {value:.3f} m ({i}–{j}, {t:.1f} s)", (t, value), xytext=(x, y), textcoords="data",
         ha="right" if left else "left", va="center", fontsize=8, zorder=7,
-        arrowprops={
-            "arrowstyle": "-", "color": GREY, "linewidth": 0.7, "relpos": (1.0 if left else 0.0, 0.5),
-        },
+        arrowprops=leader if joined else None,
         bbox={"boxstyle": "square,pad=0", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
     )  # fmt: skip
+
+
+def _beside_closest(value: float, safe_m: float, top: float) -> float | None:
+    """How high (m) a label of the closest distance stands, on axes from 0 to `top`; None where it would cover
+    the safe distance or be covered by the axis.
+
+    Below it no line can be, but that of the safe distance: just below, or below both.
+    """
+    line = _LINE_IN / _PLOT_IN * top
+    just_below = value - line
+    if abs(just_below - safe_m) > 0.6 * line and just_below > 0.6 * line:
+        return just_below
+    return safe_m / 2.0 if safe_m > 1.4 * line else None

@@ -50,8 +50,13 @@ def timing(result: RunResult) -> Figure:
         spread.set_title("Distribution")
         spread.set_xlabel(what)
         spread.set_ylabel("share of all (%)")
-        _draw_over_time(over_time, row.times, row.values, end, row.color)
-        _draw_spread(spread, row.values, row.color, row.unit)
+        inside = (row.times >= 0.0) & (row.times <= end)
+        if not inside.any():
+            for axes in (over_time, spread):
+                note(axes, "nothing was recorded during the drive")
+            continue
+        _draw_over_time(over_time, row.times[inside], row.values[inside], end, row.color)
+        _draw_spread(spread, row.values[inside], row.color, row.unit)
     return figure
 
 
@@ -76,19 +81,19 @@ def _draw_over_time(axes: Axes, times: Floats, values: Floats, end: float, color
     """Median, 99th percentile and maximum in each of at most 60 bins of time."""
     width = max(end / 60, 0.2)
     bins = np.floor(times / width).astype(np.int64)
-    inside = (times >= 0) & (times <= end)
     rows = []
-    for number in np.unique(bins[inside]):
-        chosen = values[inside & (bins == number)]
+    for number in np.unique(bins):
+        chosen = values[bins == number]
         rows.append((min((number + 0.5) * width, end), *np.percentile(chosen, (50, 99, 100))))
-    if not rows:
-        note(axes, "nothing was recorded during the drive")
-        return
     middle, median, high, top = np.array(rows).T
+    marks = "o" if len(rows) == 1 else None  # of one point a line is not seen
     axes.fill_between(middle, median, high, color=color, alpha=0.18, linewidth=0)
     axes.plot(middle, top, ".", color=GREY, markersize=3.5, label="greatest")
-    axes.plot(middle, high, color=color, linewidth=0.9, linestyle=(0, (4, 2)), label="99th percentile")
-    axes.plot(middle, median, color=color, linewidth=1.5, label="median")
+    axes.plot(
+        middle, high, color=color, linewidth=0.9, linestyle=(0, (4, 2)), label="99th percentile",
+        marker=marks, markersize=4.5, markerfacecolor="white",
+    )  # fmt: skip
+    axes.plot(middle, median, color=color, linewidth=1.5, label="median", marker=marks, markersize=4.5)
     axes.set_ylim(0.0, 1.25 * float(top.max()) or 1.0)
     axes.legend(loc="upper right", ncols=3, columnspacing=1.0, handlelength=1.5)
 

@@ -89,7 +89,7 @@ def trajectories(result: RunResult) -> Figure:
     taken = [_name_box(frame, boundary) for boundary in obstacles_of(fleet)]
     moments = _moments(a)
     for shade, k in zip(np.linspace(0.25, 1.0, len(moments)), moments, strict=True):
-        taken += _draw_formation(axes, frame, a, k, float(shade), few)
+        taken += _draw_formation(axes, frame, a, k, float(shade), few, taken)
     for index in range(len(a.ids)):
         width, alpha = (1.5, 1.0) if few else (0.7, 0.7)
         axes.plot(*a.desired[:, index].T, linestyle=DOTTED, color=GREY, linewidth=0.7 * width, zorder=2)
@@ -201,10 +201,16 @@ def _moments(a: Analysis) -> list[int]:
 
 
 def _draw_formation(
-    axes: Axes, frame: _Frame, a: Analysis, k: int, shade: float, few: bool
+    axes: Axes,
+    frame: _Frame,
+    a: Analysis,
+    k: int,
+    shade: float,
+    few: bool,
+    taken: Sequence[tuple[Floats, Floats]],
 ) -> list[tuple[Floats, Floats]]:
-    """The edges in force at one time of the grid, the robots on their way with their markers, and the time;
-    middle and size of its text, points."""
+    """The edges in force at one time of the grid, the robots on their way with their markers, and the time,
+    beside texts that are there already; middle and size of its text, points."""
     # Of robots with a place alone: one in reserve, or that has left, is no part of the formation.
     places = np.where(np.isfinite(a.desired[k]), a.hands[k], np.nan)
     in_force = a.edges[np.isfinite(a.wanted[k])]
@@ -232,12 +238,17 @@ def _draw_formation(
     size = np.array(text_size(text, _TIME_SIZE))
     half = np.abs(aside) @ (0.5 * size)
     offset = aside * (max(10.0, 0.5 * a.safe_m * frame.points_per_m + 4.0) + half)
+    start = frame.points(place)
+    for _ in range(3 * len(taken)):  # by half its own size each
+        if not any((np.abs(start + offset - middle) < 0.5 * (size + other)).all() for middle, other in taken):
+            break
+        offset = offset + aside * half
     axes.annotate(
         text, place, xytext=tuple(offset.tolist()), textcoords="offset points", ha="center", va="center",
         fontsize=_TIME_SIZE, color=INK, zorder=9,
         bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.6},
     )  # fmt: skip
-    return [(frame.points(place) + offset, size)]
+    return [(start + offset, size)]
 
 
 def _aside(a: Analysis, places: Floats) -> Floats:

@@ -18,9 +18,9 @@ from deploy.report.drawing.plotting import GREY, INK, PALETTE, RED
 LANES_MAX: Final = 9
 """Rules with a bar of their own; further ones share the last."""
 _LANE_IN: Final = 0.19
-_TEXT_MAX: Final = 76
 _CHARACTER: Final = 0.0098
 """Width of a character of a lane's text, as a share of the axes'."""
+_TEXT_MAX: Final = int(1.0 / _CHARACTER) - 2
 _MARKS_MAX: Final = 12
 """More kills and pauses than this are drawn without words."""
 # The reds and greens of the distances mean something else; these do not.

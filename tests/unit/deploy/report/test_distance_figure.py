@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from agent.fleet.model import Fleet
-from deploy.report.distance_figure import NAMED_MAX, THIN_MAX, Line, distances, near_edges, near_strangers
+from deploy.report.distance_figure import (
+    NAMED_MAX,
+    THIN_MAX,
+    Line,
+    _beside_closest,
+    distances,
+    near_edges,
+    near_strangers,
+)
 from deploy.report.drawing.plotting import GREY
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import result_of
@@ -147,3 +155,24 @@ def test_lines_are_told_apart_without_colours() -> None:
     drawn = [line for line in axes.lines if len(np.asarray(line.get_xdata())) == len(result.analysis.grid)]
     assert len(drawn) == 9
     assert len({line.get_marker() for line in drawn}) == 9
+
+
+@pytest.mark.parametrize(
+    ("value", "top", "stands"),
+    [
+        (1.6, 1.75, "below it"),  # a short drive, far from the safe distance
+        (0.25, 1.75, "below both"),
+        (0.3, 8.0, "on lines"),  # of many robots: both lie on the axis to the eye
+        (2.0, 8.0, "below it"),
+    ],
+)
+def test_what_is_written_of_the_closest_covers_no_safe_distance(
+    value: float, top: float, stands: str
+) -> None:
+    found = _beside_closest(value, SAFE_M, top)
+    half_a_line = 0.5 * 0.145 / 3.2 * top
+    if found is not None:
+        assert abs(found - SAFE_M) > half_a_line
+        assert half_a_line < found < value
+    where = "on lines" if found is None else "below both" if found < SAFE_M else "below it"
+    assert where == stands

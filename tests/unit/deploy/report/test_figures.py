@@ -13,7 +13,7 @@ import pytest
 from agent.messages import key_expressions
 from deploy.recording.collector import RunData
 from deploy.recording.recorder import RecordingError
-from deploy.report import figures, report
+from deploy.report import figures, report, timing_figure
 from deploy.report.drawing.plotting import new_figure
 from deploy.report.figures import remove_figures, write_figures
 from deploy.report.link_figure import _with_gaps
@@ -142,6 +142,25 @@ def test_panels_of_what_was_not_recorded_are_left_out() -> None:
         assert titles == ["Navigation force", "Constraint force"]
         timing = figures.figure(result, "timing")
         assert len(timing.axes) == 2 * rows  # ticks take no virtual time
+
+
+def test_times_are_those_of_the_drive_alone_in_both_panels(monkeypatch: pytest.MonkeyPatch) -> None:
+    times, ages = np.array([-1.0, 0.5, 1.0, 99.0]), np.array([60.0, 20.0, 20.0, 80.0])
+    row = timing_figure._Row("Age of states", "ms", "k", times, ages)
+    monkeypatch.setattr(timing_figure, "_rows", lambda _: [row])
+    over_time, spread = figures.figure(result_of(), "timing").axes
+    assert {text.get_text() for text in spread.texts} == {"median 20 ms", "99 % 20 ms"}
+    assert max(line.get_ydata().max() for line in over_time.lines) == 20.0  # type: ignore[union-attr]
+    monkeypatch.setattr(timing_figure, "_rows", lambda _: [row._replace(times=times + 200.0)])
+    for axes in figures.figure(result_of(), "timing").axes:
+        assert [text.get_text() for text in axes.texts] == ["nothing was recorded during the drive"]
+
+
+def test_of_one_moment_median_and_percentile_are_seen() -> None:
+    row = timing_figure._Row("Age of states", "ms", "k", np.array([0.1]), np.array([20.0]))
+    axes = new_figure(4.0, 3.0).add_subplot()
+    timing_figure._draw_over_time(axes, row.times, row.values, 0.3, "k")
+    assert all(line.get_marker() != "None" for line in axes.lines)
 
 
 @pytest.mark.parametrize("rows", [1, 3, 6])

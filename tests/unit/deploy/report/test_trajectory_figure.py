@@ -56,6 +56,15 @@ def test_no_number_of_forty_five_covers_another() -> None:
     assert not over
 
 
+def test_times_of_a_formation_that_stands_do_not_cover_each_other() -> None:
+    fleet = make_fleet(*triangle(2), duration_s=0.3, rate_hz=20)
+    picture = figure(result_of(fleet, in_formation(fleet, 0.0)), "trajectories")
+    picture.canvas.draw()
+    (axes,) = picture.axes
+    first, last = (text for text in axes.texts if text.get_text().endswith(" s"))
+    assert not first.get_window_extent().overlaps(last.get_window_extent())
+
+
 def test_robots_on_their_way_are_told_apart_without_colours() -> None:
     result = run(2)
     (axes,) = figure(result, "trajectories").axes
