@@ -71,6 +71,11 @@ class Reader:
         added = [e for holder, held in self.sections.items() if issubclass(model, holder) for e in held]
         return {**own, **{entry.key: entry for entry in added}} if added else own
 
+    @property
+    def bad(self) -> set[str]:
+        """Places of the file with a problem, whoever gave the value."""
+        return {problem.place for problem in self._problems}
+
     def add(self, place: str, message: str) -> None:
         """Adds one problem at a place of the file."""
         self._problems.append(Problem(place, message))

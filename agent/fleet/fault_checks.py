@@ -70,7 +70,7 @@ def _check_delay(row: Mapping[str, Any], place: str, traces: set[str], reader: R
     delay, jitter, distribution = (row.get(name) for name in ("delay", "jitter", "distribution"))
     if delay is None:
         for name, value in (("jitter", jitter), ("distribution", distribution)):
-            if value is not None and f"{place}.delay" not in _bad(reader):
+            if value is not None and f"{place}.delay" not in reader.bad:
                 reader.add(f"{place}.{name}", 'needs a delay beside it, such as delay = "80ms"')
         return
     for value in (delay.start, delay.end):
@@ -88,13 +88,8 @@ def _check_delay(row: Mapping[str, Any], place: str, traces: set[str], reader: R
                 f"{show(str(delay))} gives its jitter itself: leave jitter and distribution out",
             )
             return
-    if distribution is not None and jitter is None and f"{place}.jitter" not in _bad(reader):
+    if distribution is not None and jitter is None and f"{place}.jitter" not in reader.bad:
         reader.add(f"{place}.distribution", 'needs a jitter beside it, such as jitter = "20ms"')
-
-
-def _bad(reader: Reader) -> set[str]:
-    """Places with a problem: what is missing there was given, but could not be read."""
-    return {problem.place for problem in reader.problems}
 
 
 def _check_where(row: Mapping[str, Any], place: str, ids: Sequence[int], reader: Reader) -> None:
@@ -166,7 +161,7 @@ def _check_when(row: Mapping[str, Any], place: str, reader: Reader) -> None:
 def _check_what(row: Mapping[str, Any], place: str, reader: Reader) -> None:
     link = [name for name in LINK_FIELDS if row.get(name) is not None]
     own = [name for name in (*SENSOR_FIELDS, *PROCESS_FIELDS) if row.get(name) is not None]
-    wrong = any(bad.startswith(place) for bad in _bad(reader))
+    wrong = any(bad.startswith(f"{place}.") for bad in reader.bad)  # what was given could not be read
     if not link and not own and row.get("partition") is None and not wrong:
         reader.add(place, 'does nothing: give an effect, such as loss = "30%"')
     if own and row.get("link") is None and row.get("topic", "hand") != "hand" and not link:

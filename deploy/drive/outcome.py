@@ -64,11 +64,16 @@ def finish(
 ) -> int:
     """Completes the folder, says the verdict, gives the exit status."""
     from deploy.recording.recorder import RecordingError
+    from deploy.report.run_folder import NotDrawn
 
     try:
         result = folder.finish(
             reasons, interrupt=interrupt, warnings=warnings, report=options.report, formats=options.figures
         )
+    except NotDrawn as error:
+        conclude(error.result, folder.path)
+        print(f"handfast: {error}; figures and report are left out: {_makes(folder.path)}", file=sys.stderr)
+        return FAILED
     except RecordingError as error:
         print(f"handfast: {error}", file=sys.stderr)
         return FAILED
@@ -81,8 +86,11 @@ def finish(
 def say_left_out(folder: Path) -> None:
     """Says that there is no report, where there is none, and how to make it later."""
     if not (folder / REPORT_FILE).exists():
-        makes = f"`handfast report {quote(str(folder))}` makes them"
-        print(f"  figures and report left out after Ctrl-C: {makes}")
+        print(f"  figures and report left out after Ctrl-C: {_makes(folder)}")
+
+
+def _makes(folder: Path) -> str:
+    return f"`handfast report {quote(str(folder))}` makes them"
 
 
 def conclude(result: RunResult, folder: Path) -> int:

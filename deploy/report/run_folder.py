@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +17,7 @@ from agent.messages.codec import decode
 from agent.messages.types import Message
 from deploy.console.interrupt import Interrupt
 from deploy.recording.collector import RunData
-from deploy.recording.recorder import Recorder
+from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.run_files import EVENTS_FILE, FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
 from deploy.report.events_file import write_events
 from deploy.verdict import metrics
@@ -30,6 +31,18 @@ LEAVING_OUT: Final = "figures and report are left out"
 
 class FolderError(Error, RuntimeError):
     """The folder cannot be made or written; one line that names it."""
+
+
+class NotDrawn(RecordingError):
+    """Figures or report cannot be written; all else is there.
+
+    Attributes:
+        result: what came of the run.
+    """
+
+    def __init__(self, why: str, result: RunResult) -> None:
+        super().__init__(why)
+        self.result = result
 
 
 class RunFolder:
@@ -104,6 +117,7 @@ class RunFolder:
 
         Raises:
             deploy.recording.recorder.RecordingError: something cannot be written.
+            NotDrawn: that are only figures or report.
         """
         interrupt = interrupt or Interrupt()
         before = interrupt.count
@@ -125,7 +139,7 @@ def _load() -> None:
 
 
 def _draw(folder: Path, result: RunResult, formats: Sequence[str], interrupt: Interrupt, before: int) -> None:
-    """Writes figures and report, or none of them after a Ctrl-C."""
+    """Writes figures and report, or none of them after a Ctrl-C or where one cannot be written."""
     from deploy.report.report import remove_report, write_report
 
     try:
@@ -134,6 +148,10 @@ def _draw(folder: Path, result: RunResult, formats: Sequence[str], interrupt: In
                 write_report(folder, result, formats)
     except KeyboardInterrupt:
         remove_report(folder)
+    except RecordingError as error:
+        with suppress(RecordingError, OSError):
+            remove_report(folder)  # none of them rather than some
+        raise NotDrawn(str(error), result) from error
 
 
 def _is_hurried(interrupt: Interrupt, before: int) -> bool:

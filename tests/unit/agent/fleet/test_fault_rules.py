@@ -251,6 +251,11 @@ def test_rules_that_are_wrong(rule: str, said: str) -> None:
     assert any(said in problem for problem in found), found
 
 
+@pytest.mark.parametrize("effect", ['partition="1|1,2"', 'robot=1,at=5,kill="brain"', 'loss="brain"'])
+def test_a_rule_whose_effect_is_wrong_is_not_said_to_have_none(effect: str) -> None:
+    assert not [each for each in problems("", f"faults.rule=[{{{effect}}}]") if "does nothing" in each]
+
+
 def test_two_rules_of_one_name() -> None:
     rule = '[[faults.rule]]\nname = "cut"\nloss = "5%"\n'
     assert any('faults.rule[1] has the name "cut" already' in problem for problem in problems(rule + rule))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from agent.messages.types import Mission, PlantState
-from deploy.drive.outcome import conclude
+from deploy.console.interrupt import Interrupt
+from deploy.drive.outcome import conclude, finish
+from deploy.report.run_folder import NotDrawn, RunFolder
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, standing
@@ -24,6 +28,28 @@ def test_the_headline_names_the_closest_of_any_two(
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "FAILED"
     assert ", closest 0.100 m (1-3), " in said[-2]
+
+
+def test_where_figures_cannot_be_written_the_verdict_is_said_and_how_to_make_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pair = make_fleet([(0, 0), (1, 0)], [(1, 2)])
+    result = RunResult(recorded(pair, messages(pair, in_formation(pair))))
+
+    class Full:
+        path = tmp_path
+
+        def finish(self, *_: object, **__: object) -> RunResult:
+            raise NotDrawn("cannot write forces.png: No space left on device", result)
+
+    options = Namespace(report=True, figures=())
+    assert finish(options, cast(RunFolder, Full()), [], Interrupt()) == 1
+    told = capsys.readouterr()
+    assert told.out.splitlines()[0] == "PASSED"
+    assert told.err == (
+        "handfast: cannot write forces.png: No space left on device; figures and report are left out: "
+        f"`handfast report {tmp_path}` makes them\n"
+    )
 
 
 def said(result: RunResult, folder: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:

@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from agent.messages.codec import encode
 from deploy.console.interrupt import Interrupt
-from deploy.recording.recorder import Recorder
+from deploy.recording.recorder import Recorder, RecordingError
 from deploy.report import figures, report
-from deploy.report.run_folder import RunFolder, rebuild
+from deploy.report.run_folder import NotDrawn, RunFolder, rebuild
 from deploy.verdict import metrics
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages
 
@@ -82,6 +83,21 @@ def test_a_ctrl_c_while_figures_are_drawn_leaves_them_out(
     assert files(folder) == COMPLETE, "and none of those that were drawn before"
     assert not result.recording.interrupted, "the drive was not"
     assert interrupt.count == 1
+    monkeypatch.undo()
+    assert is_complete(folder)
+
+
+def test_figures_that_cannot_be_written_cost_neither_result_nor_recording(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> Figure:
+        raise RecordingError("cannot write forces.png: No space left on device")
+
+    monkeypatch.setattr(figures, "PICTURES", figures.PICTURES | {"forces": full})
+    with pytest.raises(NotDrawn, match=r"cannot write forces\.png: No space") as error:
+        folder.finish()
+    assert error.value.result.passed
+    assert files(folder) == COMPLETE, "and none of those that were drawn before"
     monkeypatch.undo()
     assert is_complete(folder)
 
