@@ -107,7 +107,7 @@ class Watch:
             return []
         self._due_s = at_s + LOOK_S
         granted = self._processes.granted()
-        found = []
+        found: list[str] = []
         for process, had in sorted(self._had.items()):
             has = granted.get(process)
             if has is not None:
