@@ -37,9 +37,9 @@ OF_COMPILED := $(addprefix tests/,unit/agent unit/plant property simulation)
 ON_COMPILED := own_laws.py own_plants.py supervision.py
 DRIVES := slip or in_run or mid_drive or supervision
 # Each worker has half of the tests, whose modules are then set up once, and takes of the other's at its end.
-COMPUTING := -n 2 --dist worksteal
 # Of the tests that start processes those of one module share what it has set up. All of tests/hosts
 # are one worker's, which has them as long as another has the rest: a third would only make both late.
+COMPUTING := -n 2 --dist worksteal
 WAITING := -n 2 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(abspath $(JUNIT))/$(1).xml)
 
