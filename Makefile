@@ -36,10 +36,8 @@ OF_COMPILED := $(addprefix tests/,unit/agent unit/plant property simulation)
 # What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
 DRIVES := slip or in_run or mid_drive or supervision
-# Each worker has half of the tests, whose modules are then set up once, and takes of the other's at its end.
 # Of the tests that start processes those of one module share what it has set up. All of tests/hosts
 # are one worker's, which has them as long as another has the rest: a third would only make both late.
-COMPUTING := -n 2 --dist worksteal
 WAITING := -n 2 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(abspath $(JUNIT))/$(1).xml)
 
@@ -56,7 +54,7 @@ demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves i
 	exit $$status
 
 test: $(VENV)/.dev ## all tests but those of `make compiled`: those that compute, start processes, need a machine alone
-	$(PY) -m pytest $(COMPUTING) -m '$(REST)' $(call junit,computing)
+	$(PY) -m pytest -n 2 -m '$(REST)' $(call junit,computing)
 	$(PY) -m pytest $(WAITING) -m 'process and not alone' $(call junit,processes)
 	$(PY) -m pytest -m 'process and alone' $(call junit,alone)
 
@@ -64,15 +62,15 @@ test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same byte
 	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)
 	@rm -rf $(COMPILED_BUILD)/tests $(COMPILED_BUILD)/docs
 	@cp -RP tests docs Makefile requirements .ci $(COMPILED_BUILD)
-	@cd $(COMPILED_BUILD) && $(if $(filter compiled,$(SLOW)),'$(CURDIR)/$(PY)' -m pytest $(COMPUTING) -p no:cacheprovider \
+	@cd $(COMPILED_BUILD) && $(if $(filter compiled,$(SLOW)),'$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider \
 	  -m '$(SLOW_COMPILED)' $(call junit,compiled-computing),:)
-	@cd $(COMPILED_BUILD) && $(if $(filter both,$(FORMS)),'$(CURDIR)/$(PY)' -m pytest $(COMPUTING) -p no:cacheprovider \
+	@cd $(COMPILED_BUILD) && $(if $(filter both,$(FORMS)),'$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider \
 	  -m '$(QUICK_COMPILED)' $(OF_COMPILED) $(call junit,compiled-quick),:)
 	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider -k '$(DRIVES)' \
 	  $(addprefix tests/process/test_,$(ON_COMPILED)) $(call junit,compiled-processes)
 
 check: lint ## the quick loop: lint, then the fast tests
-	$(PY) -m pytest $(COMPUTING) -m '$(QUICK)' $(call junit,quick)
+	$(PY) -m pytest -n 2 -m '$(QUICK)' $(call junit,quick)
 
 lint: $(VENV)/.dev ## ruff, mypy --strict, import-linter
 	$(PY) -m ruff check .
