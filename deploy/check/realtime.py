@@ -7,7 +7,6 @@ from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.fleet.process_section import ProcessSection
-from agent.runtime.realtime_granted import cores
 from deploy.check.finding import Finding
 
 OF_KERNEL: Final = 50
@@ -39,6 +38,8 @@ def check_cores(fleet: Fleet, there: Collection[int]) -> Iterator[Finding]:
     """
     wanted = set(fleet.process.cpus)
     if fleet.process.realtime and (missing := sorted(wanted - set(there))):
+        from agent.runtime.realtime_granted import cores  # here: other fleets need none of it
+
         left = sorted(wanted & set(there))
         kept = f"would have {cores(left)} alone" if left else "would be kept to none"
         yield Finding(

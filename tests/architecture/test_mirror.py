@@ -138,7 +138,6 @@ BY_OTHERS: Final = {
         deploy/recording/message_json
         deploy/recording/run_files
         deploy/recording/tables
-        deploy/report/drawing/fault_strip
         deploy/report/force_figure
         deploy/report/html
         deploy/report/link_figure
