@@ -286,4 +286,4 @@ def _beside_closest(value: float, safe_m: float, top: float) -> float | None:
     just_below = value - line
     if abs(just_below - safe_m) > 0.6 * line and just_below > 0.6 * line:
         return just_below
-    return safe_m / 2.0 if safe_m > 1.4 * line else None
+    return safe_m / 2.0 if safe_m > 1.1 * line else None

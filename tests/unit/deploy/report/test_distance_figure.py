@@ -162,6 +162,7 @@ def test_lines_are_told_apart_without_colours() -> None:
     [
         (1.6, 1.75, "below it"),  # a short drive, far from the safe distance
         (0.25, 1.75, "below both"),
+        (0.301, 3.6, "below both"),  # of `make demo`
         (0.3, 8.0, "on lines"),  # of many robots: both lie on the axis to the eye
         (2.0, 8.0, "below it"),
     ],
