@@ -37,6 +37,7 @@ def test_uniform_draws_are_uniform(key: tuple[int | str, ...]):
     assert stats.kstest(sample * 1000 % 1.0, "uniform").pvalue > P_MIN
 
 
+@pytest.mark.patches
 def test_largest_and_smallest_uniform_are_in_range(monkeypatch: pytest.MonkeyPatch):
     for extreme, expected in ((0, 0.0), (2**64 - 1, 1.0 - 2.0**-53)):
         monkeypatch.setattr(random_streams, "bits", lambda stream, counter, extreme=extreme: extreme)
@@ -140,6 +141,7 @@ def test_keys_that_read_alike_are_different_streams():
     assert len({random_streams.stream(*key) for key in keys}) == len(keys)
 
 
+@pytest.mark.patches
 def test_module_keeps_no_state():
     assert not [
         name
