@@ -106,7 +106,7 @@ def loop(
     """Ticks `node` at absolute deadlines (`agent.links.ticks.Ticks`) until it was asked to end and is done.
 
     Wakes at the deadline, drains the bus, ticks, publishes. A tick gets the time of its
-    deadline, not of its waking; skipped ones are counted.
+    deadline, not of its waking; skipped ones are counted, and said at the end.
 
     Args:
         names: of whoever is at an endpoint.
@@ -122,6 +122,7 @@ def loop(
     watches = Watches(bus)
     heard: Sequence[str] = ()
     has_epoch = False
+    made = skipped = 0
     while True:
         if node.subscriptions is not heard:
             heard = node.subscriptions
@@ -135,6 +136,8 @@ def loop(
         # Before the clock is read: nothing is from the future for a thread that was held up in between.
         waiting = bus.drain()
         now_ns, missed, late_ns = ticks.take(clock.now_ns())
+        made += 1
+        skipped += missed
         if late_ns * TOLD_SHARE > node.period_ns:
             node.late(now_ns, late_ns)
         for key, here in watches.update(node.watched):
@@ -142,6 +145,8 @@ def loop(
         for key, payload in waiting:
             node.receive(now_ns, key, payload)
         if shutdown.asked and end_by_ns is None:
+            if skipped:
+                log(f"missed {skipped} of {made + skipped} ticks")
             log(f"ending ({shutdown.why})")
             service.stopping()
             node.end()

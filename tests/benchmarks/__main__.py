@@ -30,6 +30,7 @@ NAMES: Final = (
     "reactions",
     "soak",
     "realtime",
+    "realtime_hour",
     "virtual_time",
     "load",
     "links",

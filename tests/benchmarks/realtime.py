@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 from typing import Final
 
@@ -40,6 +42,13 @@ MINUTES: Final = 1.0
 QUICK_MINUTES: Final = 0.25
 DRIVE_MINUTES: Final = 5.0
 """A recording is read whole: longer drives take more memory than a small machine has."""
+RUN: Final = "run"
+REALTIME: Final = "realtime"
+KINDS: Final = {"alone": (False, False), "beside load": (False, True), REALTIME: (True, True)}
+"""Whether a drive asks for real time, and whether there is other load."""
+ENDED: Final = ": ending ("
+MISSED: Final = re.compile(r": missed (\d+) of \d+ ticks")
+"""What a process says at its end (`agent.runtime.loop`)."""
 LIMIT: Final = 0.01
 """%, of an hour at 200 Hz."""
 COMMAND_TIMEOUT_S: Final = 120.0
@@ -69,14 +78,16 @@ class Found:
 
     agents: Count
     plants: Count
+    recorded: Count
+    """States of plants: what is missing has its plant missed, or the command, which records beside robots."""
     heard_s: float = 0.0
     driven_s: float = 0.0
-    """How much of how long drives the recording has of robots' agents: the command has what they leave."""
+    """How much of how long drives the recording has of robots' agents."""
 
 
-def add(found: Found, recording: Recording) -> None:
-    """Counts the ticks of one drive: those that agents say, and plants' by gaps in their states, which are
-    also where the command did not keep up."""
+def add(found: Found, recording: Recording, logs: Path) -> None:
+    """Counts the ticks of one drive: of agents as their status says, of plants as the logs in a folder say,
+    from their start on, and what the recording has of them."""
     period_s = recording.fleet.period_ns / 1e9
     for robot in recording.robots.values():
         status = robot.status
@@ -90,8 +101,15 @@ def add(found: Found, recording: Recording) -> None:
             found.agents.missed += missed
             found.agents.made += max(0, round(span_s / period_s) - missed)
         times = robot.plant.t[(robot.plant.t > SETTLED_S) & (robot.plant.t <= recording.end_s)]
-        found.plants.made += len(times)
-        found.plants.missed += int(np.rint(np.diff(times) / period_s - 1.0).clip(min=0).sum())
+        found.recorded.made += len(times)
+        found.recorded.missed += int(np.rint(np.diff(times) / period_s - 1.0).clip(min=0).sum())
+        text = (logs / f"robot-{robot.id}-plant.log").read_text(encoding="utf-8")
+        if ENDED not in text:
+            raise BenchmarkError(f"the plant of robot {robot.id} did not end in order")
+        said = MISSED.search(text)
+        missed = int(said[1]) if said else 0
+        found.plants.missed += missed
+        found.plants.made += round(recording.end_s / period_s) - missed
 
 
 @contextmanager
@@ -114,13 +132,16 @@ def beside() -> Iterator[str]:
         end(burner)
 
 
-def drive(folder: Path, rate_hz: int, duration_s: float, *, realtime: bool) -> Recording:
-    out = folder / "run"
+def drive(
+    folder: Path, rate_hz: int, duration_s: float, *, realtime: bool, more: Sequence[str] = ()
+) -> Recording:
+    out = folder / RUN
     shutil.rmtree(out, ignore_errors=True)
     settings = [
         f"fleet.rate_hz={rate_hz}",
         f"control.rate_min_hz={rate_hz}",
         f"process.realtime={str(realtime).lower()}",
+        *more,
     ]
     words = handfast("run", FLEET, "--no-report", "--no-check", "--quiet", "--out", str(out))
     words += ["--duration", f"{duration_s:g}", *(word for each in settings for word in ("--set", each))]
@@ -146,28 +167,35 @@ def needs_realtime() -> None:
 def run(options: Options) -> Result:
     needs_realtime()
     minutes = options.minutes or (QUICK_MINUTES if options.quick else MINUTES)
-    drives = max(1, round(minutes / DRIVE_MINUTES + 0.499))
-    duration_s = 60.0 * minutes / drives
-    found: dict[tuple[int, str], Found] = {}
-    kinds = {"alone": (False, False), "beside load": (False, True), "realtime": (True, True)}
     refused = {rate_hz: overload_here(_asking(rate_hz)) for rate_hz in RATES_HZ}
+    asked = [
+        (rate_hz, kind) for rate_hz in RATES_HZ for kind in KINDS if kind != REALTIME or not refused[rate_hz]
+    ]
+    result = measured(asked, minutes, DRIVE_MINUTES)
+    result.details += [f"not in real time: {why}" for why in refused.values() if why]
+    return result
+
+
+def measured(
+    asked: Sequence[tuple[int, str]], minutes: float, drive_minutes: float, settings: Sequence[str] = ()
+) -> Result:
+    """What so many minutes of each rate, Hz, and kind come to: in turn, in drives of that many at most."""
+    drives = max(1, ceil(minutes / drive_minutes))
+    duration_s = 60.0 * minutes / drives
+    found = {each: Found(Count(), Count(), Count()) for each in asked}
     begun, stolen, what = time.monotonic(), steal_s(), ""
     with tempfile.TemporaryDirectory(prefix="handfast-bench-") as folder:
         for _ in range(drives):
-            for rate_hz in RATES_HZ:
-                for kind, (realtime, loaded) in kinds.items():
-                    if realtime and refused[rate_hz]:
-                        continue
-                    with beside() if loaded else nullcontext("") as load:
-                        what = load or what
-                        recording = drive(Path(folder), rate_hz, duration_s, realtime=realtime)
-                    each = found.setdefault((rate_hz, kind), Found(Count(), Count()))
-                    add(each, recording)
-                    print(f"  {rate_hz} Hz, {kind}: agents {each.agents}, plants {each.plants}", flush=True)
+            for rate_hz, kind in asked:
+                realtime, loaded = KINDS[kind]
+                with beside() if loaded else nullcontext("") as load:
+                    what = load or what
+                    recording = drive(Path(folder), rate_hz, duration_s, realtime=realtime, more=settings)
+                each = found[rate_hz, kind]
+                add(each, recording, Path(folder) / RUN / "logs")
+                print(f"  {rate_hz} Hz, {kind}: agents {each.agents}, plants {each.plants}", flush=True)
     stolen = (steal_s() - stolen) / (time.monotonic() - begun) / (os.cpu_count() or 1)
-    result = _result(found, minutes, what, stolen)
-    result.details += [f"not in real time: {why}" for why in refused.values() if why]
-    return result
+    return _result(found, minutes, what, stolen)
 
 
 def _asking(rate_hz: int) -> Fleet:
@@ -177,13 +205,14 @@ def _asking(rate_hz: int) -> Fleet:
 def _result(found: dict[tuple[int, str], Found], minutes: float, what: str, stolen: float) -> Result:
     figures, rows = [], []
     for (rate_hz, kind), each in found.items():
-        if kind == "realtime":
+        if kind == REALTIME:
             for role, count in (("agents", each.agents), ("plants", each.plants)):
                 name = f"ticks missed by {role} in real time, {rate_hz} Hz"
                 figures.append(Figure(name, count.percent, "%", LIMIT, note=str(count)))
-        cells = [f"{number(count.percent)} % ({count})" for count in (each.agents, each.plants)]
+        counts = each.agents, each.plants, each.recorded
+        cells = [f"{number(count.percent)} % ({count})" for count in counts]
         heard = f"{100.0 * each.heard_s / each.driven_s:.0f} %" if each.driven_s else "-"
         rows.append([f"{rate_hz} Hz, {kind}", *cells, heard])
-    head = ["", "agents missed", "plants missed", "heard of agents"]
+    head = ["", "agents missed", "plants missed", "states not recorded", "heard of agents"]
     note = f"{minutes:g} min each, 12 processes, {os.cpu_count()} cores, beside {what}; {stolen:.1%} stolen"
     return Result(figures, [note, *table(head, rows)])

@@ -112,7 +112,7 @@ def test_a_tick_is_told_its_deadline_and_those_slept_through_are_skipped():
     node, _, stamps, said = looped("", late, 5)
     assert [(stamp - T0) / PERIOD for stamp in stamps] == [1, 2, 3, 6, 7, 8]
     assert node.overruns == 2
-    assert said == ["braking: no wrench yet", "ending (enough)"]
+    assert said == ["braking: no wrench yet", "missed 2 of 8 ticks", "ending (enough)"]
 
 
 class Laid:
