@@ -67,7 +67,9 @@ def check_faults(fleet: Fleet) -> Iterator[Finding]:
     yield from _contradictions(every)
     yield from _no_start(fleet, plan, links, every)
     everywhere = _defaults(fleet, plan, links, end)
-    yield from _late(fleet, [*([everywhere] if everywhere is not None else []), *every])
+    with_defaults = [*([everywhere] if everywhere is not None else []), *every]
+    yield from _never_late(plan, with_defaults)
+    yield from _late(fleet, with_defaults)
     yield from _processes(fleet, every, end)
     yield from _clocks(fleet, plan)
 
@@ -327,6 +329,21 @@ def _late(fleet: Fleet, rules: Sequence[_Rule]) -> Iterator[Finding]:
                 )
             yield from _gaps(fleet, each, topic, limit, name, then)
         yield from _crowded(fleet, each)
+
+
+def _never_late(plan: FaultPlan, rules: Iterable[_Rule]) -> Iterator[Finding]:
+    """Messages that are to overtake others where none of these ever waits, which netem refuses."""
+    for each in rules:
+        waits = (
+            "delay" in effects for link in each.links for _, effects in plan.rules_of_link(*link).asked()
+        )
+        if "reorder" in each.effects and each.links and not any(waits):
+            yield Finding(
+                "warning",
+                f"{each.place}.reorder",
+                f"{_named(each)}: reorder sends some messages at once while the others wait their delay, and "
+                "there is none: it does nothing; give a delay",
+            )
 
 
 def _some(links: Iterable[Link], topic: str) -> str:

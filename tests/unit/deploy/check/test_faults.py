@@ -54,6 +54,34 @@ def test_sound_faults_have_nothing_to_report() -> None:
     assert found(rule('topic = "wrench"', "robot = 1", 'delay = "40ms"')) == []
 
 
+@pytest.mark.parametrize(
+    ("faults", "place", "who"),
+    [
+        ('[faults]\nreorder = "25%"\n', "faults.reorder", "[faults]"),
+        (rule('name = "x"', 'link = "1->2"', 'reorder = "25%"'), "faults.rule[1].reorder", "'x'"),
+        (
+            rule('name = "x"', 'link = "1->2"', 'reorder = "25%"') + rule('link = "1->3"', 'delay = "50ms"'),
+            "faults.rule[1].reorder",
+            "'x'",
+        ),
+    ],
+)
+def test_reordering_where_nothing_is_late(faults: str, place: str, who: str) -> None:
+    finding = one(faults)
+    assert (finding.level, finding.place) == ("warning", place)
+    assert finding.message == (
+        f"{who}: reorder sends some messages at once while the others wait their delay, and there is none: "
+        "it does nothing; give a delay"
+    )
+
+
+def test_reordering_of_what_another_rule_delays() -> None:
+    late = '[faults]\ndelay = "50ms"\n'
+    assert found(late.rstrip() + '\nreorder = "25%"\n') == []
+    assert found(late + rule('link = "1->2"', 'reorder = "25%"')) == []
+    assert found(rule('link = "1->2"', 'reorder = "25%"') + rule("robot = 2", 'delay = "50ms"')) == []
+
+
 # --- when and where ---------------------------------------------------------------------------
 
 
