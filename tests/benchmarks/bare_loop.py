@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
-from tests.benchmarks.processes import environment
+from tests.benchmarks.processes import END_TIMEOUT_S, environment
 
 PRIORITY: Final = 60
 LATE_NS: Final = 1_000_000
@@ -53,11 +53,10 @@ def bare_loops(rate_hz: int) -> Iterator[list[Wakes]]:
     ]
     try:
         yield found
-        found += [Wakes(*json.loads(loop.communicate(timeout=10.0)[0])) for loop in loops]
     finally:
         for loop in loops:
-            loop.kill()
-            loop.communicate()
+            said, _ = loop.communicate(timeout=END_TIMEOUT_S)
+            found.append(Wakes(*json.loads(said)))
 
 
 def count(core: int, rate_hz: float) -> Wakes:
