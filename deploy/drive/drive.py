@@ -258,6 +258,8 @@ class Drive:
         standstill.wait(self._view, self._why_stop())
         if standstill.deaf and not self._processes.ours:
             self._fail(f"Not heard to stop: {robots(standstill.deaf)}.")
+        if self._fleet_state.is_behind:
+            self._warn("The command did not keep up with what it heard: the last of it is not recorded")
         if standstill.lost is not None:
             raise standstill.lost
 
@@ -301,13 +303,14 @@ class Drive:
             if self._deaths():
                 return False
             for sentence in self._realtime.look(now_ns / NS_PER_S):
-                self.warnings.append(sentence)
-                self._view.say(f"warning: {sentence}")
+                self._warn(sentence)
         return not self._interrupt.count
 
     def _look_after_a_stand(self, now_ns: int) -> None:
-        """After this process has stood, what waited for it is not shown as what is: fresh messages are."""
-        stood, before = now_ns - self._stepped_ns > STOOD_NS, self._has_stood
+        """After this process has stood, or while it does not keep up, what waited for it is not shown as what
+        is: fresh messages are."""
+        stood = now_ns - self._stepped_ns > STOOD_NS or self._fleet_state.is_behind
+        before = self._has_stood
         self._stepped_ns, self._has_stood = now_ns, stood
         if stood and not before:
             self._watch.stood()
@@ -349,6 +352,11 @@ class Drive:
     def _fail(self, reason: str) -> None:
         self.reasons.append(reason)
         self._view.say(reason)
+
+    def _warn(self, sentence: str) -> None:
+        """Warns by a sentence without its end."""
+        self.warnings.append(sentence)
+        self._view.say(f"warning: {sentence}")
 
     # ------------------------------------------------------------------ what is done at its time
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from agent.common.time import NS_PER_S
@@ -42,6 +43,9 @@ from deploy.session.session import valid
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
 """How often an order is sent again that a process has not acknowledged."""
 RECORDER_INBOX: Final = 65_536
+COLLECT_S: Final = 0.2
+"""So long at a time what came is taken: where there is more than the processor has time for, as beside robots
+in real time that take all of it, a drive must end and a Ctrl-C be heard all the same."""
 _ONLY_RECORDED: Final = (Wrench, LinkTrace)
 
 Record = Callable[[int, str, bytes], Message | None]
@@ -60,6 +64,7 @@ class FleetState:
         epoch_ns: of this drive's mission, None before it is given.
         present: the processes that are there.
         states: the latest state of each plant that is up.
+        is_behind: whether not all that came has been taken.
     """
 
     def __init__(
@@ -83,6 +88,10 @@ class FleetState:
         self.checks: Final = VehicleChecks(fleet)
         self.author: Final = author()
         self.epoch_ns: int | None = None
+        self.is_behind = False
+        self._waiting: Iterator[tuple[str, bytes]] = iter(())
+        self._came_ns = 0
+        """What came, and when."""
         self.present: set[Process] = set()
         self.states: dict[int, PlantState] = {}
         self._truths: dict[int, PlantState] = {}
@@ -100,27 +109,36 @@ class FleetState:
 
     # ------------------------------------------------------------------ what comes
 
-    def collect(self) -> None:
-        """Takes what came.
+    def collect(self, most_s: float = COLLECT_S) -> None:
+        """Takes what came, for so long at most; what is left then is taken next time, before what is new.
 
         Raises:
             RecordingError: it cannot be recorded; what comes from now on is taken all the same.
         """
-        now_ns = self.clock.now_ns()
-        for key, payload in self._bus.drain():
-            self._stop_door.heard(key, payload)
-            message = self.record(now_ns, key, payload)
-            kind = type(message)
-            if message is None or kind in _ONLY_RECORDED:
-                continue
-            self.watch.feed(key, message)
-            if kind is PlantState:
-                self._locate(key, message)
-            elif kind is not HandState:
-                if (order := self.operator.hear_at(now_ns, key, message)) is not None:
-                    self._own.keep(order)
-                self.checks.feed(now_ns, key, message)
-                self._note(now_ns, key, message)
+        until_s = time.monotonic() + most_s
+        if not self.is_behind:
+            self._came_ns, self._waiting = self.clock.now_ns(), iter(self._bus.drain())
+            self.is_behind = True
+        for key, payload in self._waiting:
+            self._take(self._came_ns, key, payload)
+            if time.monotonic() >= until_s:
+                return
+        self.is_behind = False
+
+    def _take(self, now_ns: int, key: str, payload: bytes) -> None:
+        self._stop_door.heard(key, payload)
+        message = self.record(now_ns, key, payload)
+        kind = type(message)
+        if message is None or kind in _ONLY_RECORDED:
+            return
+        self.watch.feed(key, message)
+        if kind is PlantState:
+            self._locate(key, message)
+        elif kind is not HandState:
+            if (order := self.operator.hear_at(now_ns, key, message)) is not None:
+                self._own.keep(order)
+            self.checks.feed(now_ns, key, message)
+            self._note(now_ns, key, message)
 
     def _note(self, now_ns: int, key: str, message: Message) -> None:
         name = self.fleet.fleet.name

@@ -10,7 +10,7 @@ from typing import Final
 from agent.messages import key_expressions
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import NAMES_SHOWN
-from deploy.drive.fleet_state import FleetState
+from deploy.drive.fleet_state import COLLECT_S, FleetState
 from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
 from deploy.drive.timing import Timing
@@ -21,6 +21,8 @@ from deploy.session.stop import Way
 LOOK_S: Final = 0.02
 LATE_S: Final = 0.5
 """A robot that has not acknowledged a stop by then is reached by other ways too."""
+LAST_S: Final = 2.0
+"""So long what came until the end is taken."""
 WAYS_S: Final = 8.0
 """So long other ways may take, such as ssh to a host that is far away."""
 
@@ -96,7 +98,7 @@ class Standstill:
                 if any(r not in statuses or statuses[r].order_version < stop.version for r in waiting):
                     fleet_state.say(stop)
             time.sleep(LOOK_S)
-        self._collect()
+        self._collect(LAST_S)
         for way in ways or ():
             way.close()
         self.deaf = [robot for robot in fleet.ids if not has_acknowledged(statuses.get(robot), stop)]
@@ -112,9 +114,9 @@ class Standstill:
             has_vehicles=bool(self._fleet_state.checks.robots), is_hurried=self._hurried and ours
         )
 
-    def _collect(self) -> None:
+    def _collect(self, most_s: float = COLLECT_S) -> None:
         """Takes what came: whether robots stand matters more than that it is recorded."""
         try:
-            self._fleet_state.collect()
+            self._fleet_state.collect(most_s)
         except RecordingError as error:
             self.lost = error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -477,3 +478,54 @@ def test_after_a_stand_of_the_command_what_waited_for_it_is_not_shown_as_what_is
         drive._look_after_a_stand(now_ns)
         assert drive._show_due_ns - now_ns == shown_ns
     assert len(stands) == 2
+
+
+FLOOD = 65_536
+"""An inbox full of messages."""
+
+
+class Flood(Robots):
+    """Of whom more comes than the machine has time for.
+
+    Attributes:
+        taken: how much of it has been recorded.
+        on_flood: what happens with each of it.
+    """
+
+    taken = 0
+    on_flood: Callable[[], None] = staticmethod(lambda: None)
+
+    def drain(self) -> Iterator[tuple[str, bytes]]:
+        yield from super().drain()
+        if self._given is not None:
+            yield from [(TOLD, b"")] * FLOOD
+
+    def record(self, _now_ns: int, _key: str, payload: bytes) -> Message | None:
+        if payload:
+            return valid(payload)
+        self.taken += 1
+        self.on_flood()
+        time.sleep(0.0005)
+        return None
+
+
+def test_a_drive_of_which_more_comes_than_there_is_time_for_ends_at_its_end() -> None:
+    robots = Flood("ready")
+    drive, said = driven(robots, record=robots.record)
+    assert 0 < robots.taken < FLOOD
+    assert {stop.reason for stop in robots.of(Stop)} == {OVER}
+    (warning,) = drive.warnings
+    assert warning == "The command did not keep up with what it heard: the last of it is not recorded"
+    assert f"warning: {warning}" in said
+
+
+def test_ctrl_c_is_heard_while_more_comes_than_there_is_time_for() -> None:
+    robots, interrupt = Flood("ready"), Interrupt()
+
+    def interrupted() -> None:
+        interrupt.count, interrupt.number = 1, signal.SIGINT
+
+    robots.on_flood = interrupted
+    driven(robots, record=robots.record, duration_s=60.0, interrupt=interrupt)
+    assert 0 < robots.taken < FLOOD
+    assert {stop.reason for stop in robots.of(Stop)} == {"interrupted"}
