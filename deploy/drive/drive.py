@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import inf
 from operator import itemgetter
 from typing import Final
 
@@ -137,6 +138,19 @@ class Drive:
         """Whether robots drive on although this has ended."""
         return self._is_left
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether not all that came has been recorded: there was no time for it."""
+        return self._fleet_state.is_behind
+
+    def take_rest(self) -> None:
+        """Takes all that waits still, of processes that have ended meanwhile.
+
+        Raises:
+            deploy.recording.recorder.RecordingError: the recording cannot be written.
+        """
+        self._fleet_state.collect(inf)
+
     # ------------------------------------------------------------------ phases
 
     def _wait_until_ready(self) -> bool:
@@ -258,7 +272,7 @@ class Drive:
         standstill.wait(self._view, self._why_stop())
         if standstill.deaf and not self._processes.ours:
             self._fail(f"Not heard to stop: {robots(standstill.deaf)}.")
-        if self._fleet_state.is_behind:
+        if self.is_behind and not self._processes.ours:
             self._warn("The command did not keep up with what it heard: the last of it is not recorded")
         if standstill.lost is not None:
             raise standstill.lost

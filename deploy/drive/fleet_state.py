@@ -115,15 +115,19 @@ class FleetState:
         Raises:
             RecordingError: it cannot be recorded; what comes from now on is taken all the same.
         """
-        until_s = time.monotonic() + most_s
-        if not self.is_behind:
-            self._came_ns, self._waiting = self.clock.now_ns(), iter(self._bus.drain())
-            self.is_behind = True
-        for key, payload in self._waiting:
-            self._take(self._came_ns, key, payload)
-            if time.monotonic() >= until_s:
+        until_s, is_fresh = time.monotonic() + most_s, not self.is_behind
+        while True:
+            if is_fresh:
+                self._came_ns, self._waiting = self.clock.now_ns(), iter(self._bus.drain())
+                self.is_behind = True
+            for key, payload in self._waiting:
+                self._take(self._came_ns, key, payload)
+                if time.monotonic() >= until_s:
+                    return
+            self.is_behind = False
+            if is_fresh:
                 return
-        self.is_behind = False
+            is_fresh = True
 
     def _take(self, now_ns: int, key: str, payload: bytes) -> None:
         self._stop_door.heard(key, payload)

@@ -86,10 +86,17 @@ class LocalRun:
                     )
                     self.reasons, self.warnings = drive.reasons, drive.warnings
                     drive.run()
+                    if drive.is_behind:  # the processor is left to this command then
+                        self._end()
+                        drive.take_rest()
             finally:
-                timeout_s = END_TIMEOUT_S + END_EACH_S * self._processes.count
-                for child in self._processes.end(timeout_s):
-                    self._view.say(f"{child.name} did not end when asked and was killed")
+                self._end()
+
+    def _end(self) -> None:
+        """Ends all processes that have not ended yet."""
+        timeout_s = END_TIMEOUT_S + END_EACH_S * self._processes.count
+        for child in self._processes.end(timeout_s):
+            self._view.say(f"{child.name} did not end when asked and was killed")
 
     @property
     def _listening_ns(self) -> int:

@@ -489,15 +489,17 @@ class Flood(Robots):
 
     Attributes:
         taken: how much of it has been recorded.
+        pause_s: how long each takes; 0: no more comes.
         on_flood: what happens with each of it.
     """
 
     taken = 0
+    pause_s = 0.0005
     on_flood: Callable[[], None] = staticmethod(lambda: None)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         yield from super().drain()
-        if self._given is not None:
+        if self._given is not None and self.pause_s:
             yield from [(TOLD, b"")] * FLOOD
 
     def record(self, _now_ns: int, _key: str, payload: bytes) -> Message | None:
@@ -505,7 +507,7 @@ class Flood(Robots):
             return valid(payload)
         self.taken += 1
         self.on_flood()
-        time.sleep(0.0005)
+        time.sleep(self.pause_s)
         return None
 
 
@@ -517,6 +519,11 @@ def test_a_drive_of_which_more_comes_than_there_is_time_for_ends_at_its_end() ->
     (warning,) = drive.warnings
     assert warning == "The command did not keep up with what it heard: the last of it is not recorded"
     assert f"warning: {warning}" in said
+    assert drive.is_behind
+    robots.pause_s = 0.0
+    drive.take_rest()
+    assert not drive.is_behind
+    assert robots.taken == FLOOD
 
 
 def test_ctrl_c_is_heard_while_more_comes_than_there_is_time_for() -> None:
