@@ -20,10 +20,12 @@ ROOT = Path(__file__).parents[4]
 
 
 class OfOthers(Exception):
-    """Cannot be made of its one argument, so that it survives no pickle."""
+    """Survives no pickle: it cannot be made of its one argument, for which Dask, once imported, makes up,
+    and it holds what no pickle does."""
 
     def __init__(self, one: str, two: str) -> None:
         super().__init__(one + two)
+        self.lock = threading.Lock()
 
 
 def test_what_returns_or_raises_does_so() -> None:
