@@ -120,8 +120,8 @@ def used(cost: Cost, machine: Machine) -> float:
 
 def is_looked_at(fleet: Fleet) -> bool:
     """Whether it matters what a fleet takes. Robots in real time that take whole machines leave the command
-    nothing by which to record, end or stop them: six at 200 Hz on two cores, beside other programs, drove on
-    for a minute and a half after their end."""
+    little by which to record, end or stop them: six at 200 Hz on two cores, beside other programs, left it a
+    tenth of one, and its recording without seconds of them."""
     return len(fleet.robots) >= ROBOTS_MIN or fleet.process.realtime
 
 
