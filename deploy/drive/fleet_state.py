@@ -110,7 +110,8 @@ class FleetState:
     # ------------------------------------------------------------------ what comes
 
     def collect(self, most_s: float = COLLECT_S) -> None:
-        """Takes what came, for so long at most; what is left then is taken next time, before what is new.
+        """Takes what came, for `most_s` seconds at most; what is left then is taken next time, before what is
+        new, with the time (wall clock, ns) at which it was taken from the bus.
 
         Raises:
             RecordingError: it cannot be recorded; what comes from now on is taken all the same.

@@ -31,7 +31,8 @@ class Wakes(NamedTuple):
     late: int
     worst_ns: int
 
-    def and_(self, other: Wakes) -> Wakes:
+    def plus(self, other: Wakes) -> Wakes:
+        """Both counts as one."""
         return Wakes(
             self.made + other.made,
             self.missed + other.missed,
@@ -60,6 +61,11 @@ def bare_loops(rate_hz: int) -> Iterator[list[Wakes]]:
 
 
 def count(core: int, rate_hz: float) -> Wakes:
+    """What a loop at that rate counts on one processor, until this process's input ends.
+
+    Raises:
+        PermissionError: this machine grants no SCHED_FIFO.
+    """
     os.sched_setaffinity(0, {core})
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     period_ns = round(NS_PER_S / rate_hz)
@@ -71,7 +77,7 @@ def count(core: int, rate_hz: float) -> Wakes:
             return found
         late_ns = time.monotonic_ns() - due_ns
         missed = max(0, late_ns // period_ns)
-        found = found.and_(Wakes(1, missed, int(late_ns > LATE_NS), late_ns))
+        found = found.plus(Wakes(1, missed, int(late_ns > LATE_NS), late_ns))
         due_ns += (1 + missed) * period_ns
 
 

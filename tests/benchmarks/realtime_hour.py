@@ -37,14 +37,14 @@ def run(options: Options) -> Result:
             result = measured([(RATE_HZ, REALTIME)], minutes, DRIVE_MINUTES, SETTINGS)
     except BenchmarkError as error:  # robots that get too little leave the command nothing to end them by
         raise BenchmarkError(f"{error}; {NOTHING}: {_told(bare)}") from error
-    whole = reduce(Wakes.and_, bare)
+    whole = reduce(Wakes.plus, bare)
     percent = 100 * whole.missed / (whole.made + whole.missed)
     result.figures.append(Figure(f"missed by {NOTHING}", percent, "%", note=_told(bare)))
     return result
 
 
 def _told(bare: Sequence[Wakes]) -> str:
-    whole = reduce(Wakes.and_, bare)
+    whole = reduce(Wakes.plus, bare)
     of = whole.made + whole.missed
     late = f"{100 * whole.late / of:.2f} % late by > 1 ms, {whole.worst_ns / 1e6:.1f} ms at worst"
     return f"{whole.missed} of {of}; {late}"
