@@ -38,13 +38,8 @@ from agent.messages.types import (
     Wrench,
 )
 from deploy.recording.columns import Store
-from deploy.recording.link_table import LinkRows
 from deploy.recording.recording import LiveFaults, Recording, RobotData
-from deploy.recording.tables import (
-    HandRows,
-    Rows,
-    StatusRows,
-)
+from deploy.recording.rows import HandRows, LinkRows, Rows, StatusRows
 
 # A message whose time is further than this from its reception is nobody's measurement (garbage, or
 # a host whose clock was never set): it would stretch the run by hours.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.formation.points import Floats
-from agent.messages.types import DUPLICATED, LOST, TOPICS, LinkTrace
-from deploy.recording.columns import Store
+from agent.messages.types import LOST, TOPICS
 from deploy.recording.links import Link
 
 Ints = NDArray[np.int64]
@@ -51,6 +50,12 @@ class LinkTable:
     what: Ints
     delay_us: Ints
     t: Floats
+
+    @classmethod
+    def empty(cls) -> LinkTable:
+        """No decision."""
+        none: Ints = np.zeros(0, dtype=np.int64)
+        return cls(none, none, none, none, none, none, none, np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -100,41 +105,3 @@ class LinkTable:
         """(n,): the copies that were let through, sooner or later, whole or damaged."""
         let: NDArray[np.bool_] = (self.what & LOST) == 0
         return let
-
-
-class LinkRows:
-    """Collects `LinkTrace` messages."""
-
-    def __init__(self, store: Store) -> None:
-        self._destination, self._source = store.column("H"), store.column("H")
-        self._topic, self._what = store.column("B"), store.column("H")
-        self._sequence, self._stamp_ns, self._delay_us = (store.column("q") for _ in range(3))
-
-    def append(self, trace: LinkTrace) -> None:
-        for entry in trace.entries:
-            self._destination.append(trace.robot)
-            self._source.append(entry.source)
-            self._topic.append(entry.topic)
-            self._sequence.append(entry.sequence)
-            self._stamp_ns.append(entry.time_ns)
-            self._what.append(entry.what)
-            self._delay_us.append(entry.delay_us)
-
-    def table(self, clocks: Mapping[int, Clock], epoch_ns: int) -> LinkTable:
-        """All decisions so far; `clocks` by robot."""
-        columns = (
-            self._destination, self._source, self._topic, self._sequence, self._stamp_ns, self._what,
-            self._delay_us,
-        )  # fmt: skip
-        destination, source, topic, sequence, stamp_ns, what, delay_us = (
-            column.whole().astype(np.int64) for column in columns
-        )
-        times = stamp_ns.copy()
-        for robot, clock in clocks.items():
-            if clock != EXACT:
-                own = source == robot
-                times[own] = true_ns(times[own], clock, epoch_ns)
-        table = LinkTable(
-            destination, source, topic, sequence, stamp_ns, what, delay_us, (times - epoch_ns) / 1e9
-        )
-        return table[np.lexsort((what & DUPLICATED, stamp_ns, destination, source, topic))]

@@ -25,8 +25,7 @@ from agent.messages.types import (
     StatusText,
     Stop,
 )
-from deploy.recording.columns import Store
-from deploy.recording.link_table import LinkRows, LinkTable
+from deploy.recording.link_table import LinkTable
 from deploy.recording.tables import (
     StatusTable,
     Table,
@@ -116,7 +115,7 @@ class Recording:
     """Valid messages that belong to no robot of the fleet or carry an absurd time; they are left out."""
     warnings: Sequence[str] = ()
     fleet_toml: str | None = None
-    links: LinkTable = field(default_factory=lambda: LinkRows(Store()).table({}, 0))
+    links: LinkTable = field(default_factory=LinkTable.empty)
     """What links did to messages on purpose. Beacons, which go from all to all, are left out."""
     live_faults: Sequence[LiveFaults] = ()
     """Live fault rules as operators sent them, and as processes said that they held them; as they came."""

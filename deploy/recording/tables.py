@@ -1,4 +1,4 @@
-"""What each robot of a run sent, as columns of numbers over time, collected message by message."""
+"""What each robot of a run sent, as columns of numbers over time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,14 +14,12 @@ from numpy.typing import NDArray
 
 from agent.formation.points import Floats
 from agent.messages.declaration import Field, declared
-from agent.messages.types import HandState, Message, Multiplier, NeighbourStatus, Status
-from deploy.recording.columns import Store
-from deploy.recording.link_table import Clock, Ints, true_ns
+from agent.messages.types import Message, NeighbourStatus
+from deploy.recording.link_table import Ints
 
 NEIGHBOUR: Final = np.dtype([(name, np.int64) for name in NeighbourStatus._fields])
 """A row of `agent.messages.types.Status.neighbours`."""
 NO_INTS: Final[Ints] = np.zeros(0, dtype=np.int64)
-_INTEGER_MAX: Final = 2**62
 _HEAD: Final = ("robot", "sequence", "time_ns")
 
 
@@ -183,114 +180,3 @@ def _greatest(values: Ints, counts: Ints) -> Floats:
         starts = (np.cumsum(counts) - counts)[some]
         found[some] = np.maximum.reduceat(values, starts)
     return found
-
-
-class Rows:
-    """One growing table: times and a flat row of numbers (`columns`) for every message of one robot."""
-
-    def __init__(self, kind: type[Message], robot: int, store: Store) -> None:
-        self.kind: type = kind
-        self.robot = robot
-        self.names = tuple(column.name for column in columns(kind))
-        self.times, self._values = store.column("q"), store.column("d")
-        self._sequences = store.column("q")
-        self._numbers = itemgetter(*map(kind._fields.index, self.names))
-
-    def is_of(self, message: Any) -> bool:
-        """Whether it is a message of this table."""
-        is_kind = type(message) is self.kind
-        return is_kind and bool(message.robot == self.robot)
-
-    def append(self, message: Any) -> None:
-        self._sequences.append(message.sequence)
-        self.times.append(message.time_ns)
-        self._values.extend(self._numbers(message))
-
-    def table(self, epoch_ns: int, clock: Clock) -> Table:
-        times, sequences = self.times.whole(), self._sequences.whole()
-        values = self._values.whole().reshape(len(times), len(self.names))
-        if len(times) > 1 and not (times[1:] > times[:-1]).all():
-            times, order = np.unique(times, return_index=True)
-            values, sequences = values[order], sequences[order]
-        return Table(self.names, (true_ns(times, clock, epoch_ns) - epoch_ns) / 1e9, values, times, sequences)
-
-
-class HandRows(Rows):
-    """The growing table of one robot's hand states, and a second one of their multipliers."""
-
-    def __init__(self, robot: int, store: Store) -> None:
-        super().__init__(HandState, robot, store)
-        self._multiplier_times, self._multipliers = store.column("q"), store.column("d")
-
-    def append(self, message: HandState) -> None:
-        super().append(message)
-        for pair in message.multipliers:
-            self._multiplier_times.append(message.time_ns)
-            self._multipliers.extend(pair)
-
-    def multipliers(self, epoch_ns: int, clock: Clock) -> Table:
-        times = true_ns(self._multiplier_times.whole(), clock, epoch_ns)
-        values = self._multipliers.whole().reshape(len(times), 2)
-        order = np.argsort(times, kind="stable")
-        return Table(Multiplier._fields, (times[order] - epoch_ns) / 1e9, values[order])
-
-
-def _bounded(value: int) -> int:
-    """What int64 holds: numbers in a status are only known to be integers; none that is true is so large."""
-    return max(-_INTEGER_MAX, min(value, _INTEGER_MAX))
-
-
-class StatusRows:
-    """The growing table of one agent's statuses, which `table` makes a `StatusTable`."""
-
-    def __init__(self, robot: int, store: Store) -> None:
-        self.robot = robot
-        self.times = store.column("q")
-        self._state_rows = store.records()
-        self._missions, self._orders = store.column("q"), store.column("q")
-        self._ticks, self._tick_counts = store.column("q"), store.column("q")
-        self._ages, self._age_counts = store.column("q"), store.column("q")
-        self._neighbours, self._neighbour_counts = store.column("q"), store.column("q")
-
-    def is_of(self, message: Any) -> bool:
-        """Whether it is a message of this table."""
-        return type(message) is Status and message.robot == self.robot
-
-    def append(self, message: Any) -> None:
-        ticks = [value for value in message.tick_us if 0 <= value < _INTEGER_MAX]
-        ages = [value for value in message.ages_us if 0 <= value < _INTEGER_MAX]
-        self.times.append(message.time_ns)
-        counters = {name: _bounded(value) for name, value in message.counters}
-        self._state_rows.append((message.state, message.reason, message.transition, counters))
-        self._missions.append(_bounded(message.mission_version))
-        self._orders.append(_bounded(message.order_version))
-        self._ticks.extend(ticks)
-        self._tick_counts.append(len(ticks))
-        self._ages.extend(ages)
-        self._age_counts.append(len(ages))
-        for entry in message.neighbours:
-            self._neighbours.extend(map(_bounded, entry))
-        self._neighbour_counts.append(len(message.neighbours))
-
-    def table(self, epoch_ns: int, clock: Clock) -> StatusTable:
-        stamps = self.times.whole()
-        times = true_ns(stamps, clock, epoch_ns)
-        rows = self._state_rows.whole()
-        states, reasons, transitions, counters = zip(*rows, strict=True) if rows else ((), (), (), ())
-        if (np.diff(stamps) < 0).any():
-            times = np.maximum.accumulate(times)  # a clock that went back: keep the order of arrival
-        return StatusTable(
-            (times - epoch_ns) / 1e9,
-            states,
-            reasons,
-            transitions,
-            self._missions.whole(),
-            self._orders.whole(),
-            counters,
-            self._ticks.whole(),
-            self._tick_counts.whole(),
-            self._ages.whole(),
-            self._age_counts.whole(),
-            self._neighbours.whole().view(NEIGHBOUR),
-            self._neighbour_counts.whole(),
-        )

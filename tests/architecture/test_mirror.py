@@ -136,6 +136,7 @@ BY_OTHERS: Final = {
         deploy/recording/links
         deploy/recording/mcap_reader
         deploy/recording/message_json
+        deploy/recording/rows
         deploy/recording/run_files
         deploy/recording/tables
         deploy/report/force_figure

@@ -18,7 +18,7 @@ from deploy.recording.columns import Store
 from deploy.recording.link_table import EXACT
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusRows
+from deploy.recording.rows import StatusRows
 from deploy.report import link_figure
 from deploy.report.drawing import fault_strip
 from deploy.report.drawing.plotting import write
