@@ -242,6 +242,7 @@ def test_robots_that_are_driven_at_each_other_keep_apart(seed, count):
     assert closest.violation < SAMPLED  # what everybody can do by braking can always be done
 
 
+@pytest.mark.slow
 @given(SEEDS, COUNTS)
 def test_with_a_circle_and_walls_between_them_as_well(seed, count):
     closest = drive(seed, count, (CIRCLE, SQUARE))
@@ -250,6 +251,7 @@ def test_with_a_circle_and_walls_between_them_as_well(seed, count):
     assert closest.violation < SAMPLED
 
 
+@pytest.mark.slow
 @given(SEEDS, COUNTS, st.sampled_from((OCTAGON, ROUND)))
 def test_with_walls_that_bend_towards_them(seed, count, fence):
     closest = drive(seed, count, (fence,))

@@ -94,6 +94,7 @@ def ring(count: int, radius: float, seed: int) -> list[tuple[float, float]]:
     return [(radius * cos(angle), radius * sin(angle)) for angle in angles]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bound", [False, True])
 @pytest.mark.parametrize(("count", "radius", "seeds"), [(2, 0.5, 4), (6, 2.0, 3), (20, 4.0, 1)])
 def test_robots_swap_across_a_circle_with_edges_and_without(count, radius, seeds, bound):

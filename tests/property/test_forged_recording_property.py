@@ -283,6 +283,7 @@ def truth(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, A
     return found
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(data=st.data())
 def test_forged_records_of_one_robot_leave_the_others_as_they_are(

@@ -89,6 +89,7 @@ def fastest(fleet: Fleet) -> float:
     return float(np.nanmax(speeds)) / fleet.control.max_speed_mps
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 12.0, 100.0]))
 @settings(max_examples=25, deadline=None)
 def test_what_check_lets_pass_stays_bounded(seed: int, high_hz: float) -> None:

@@ -107,6 +107,7 @@ def test_an_order_that_is_said_again_has_the_bytes_that_came(message: Message):
         assert encode(decode(payload)) == payload
 
 
+@pytest.mark.slow
 @given(
     st.lists(MISSIONS.map(lambda mission: mission._replace(version=mission.version % 3)), max_size=8),
     st.data(),
@@ -145,6 +146,7 @@ def flipped(payload: bytes, bits: set[int]) -> bytes:
     return bytes(changed)
 
 
+@pytest.mark.slow
 @given(MESSAGES, st.data())
 @settings(max_examples=1000)
 def test_one_two_or_three_flipped_bits_are_always_found(message: Message, data: st.DataObject):
@@ -156,6 +158,7 @@ def test_one_two_or_three_flipped_bits_are_always_found(message: Message, data: 
     assert caught.value.reason in ("checksum", "version", "oversized")
 
 
+@pytest.mark.slow
 @given(MESSAGES, st.data())
 @settings(max_examples=500)
 def test_flipped_bits_that_the_checksum_does_not_find(message: Message, data: st.DataObject):
@@ -215,6 +218,7 @@ def test_any_messagepack(value: Any):
     survives(sealed(msgpack.packb(value)))
 
 
+@pytest.mark.slow
 @given(MESSAGES, st.data())
 @settings(max_examples=500)
 def test_a_field_replaced_by_anything(message: Message, data: st.DataObject):
@@ -232,6 +236,7 @@ def outcome(way: Callable[[], Message]) -> Any:
         return error.reason
 
 
+@pytest.mark.slow
 @given(MESSAGES, st.data())
 @settings(max_examples=500)
 def test_the_short_way_lets_through_what_the_long_way_does_and_nothing_else(
@@ -249,6 +254,7 @@ def test_the_short_way_lets_through_what_the_long_way_does_and_nothing_else(
     assert type(short) is type(long)
 
 
+@pytest.mark.slow
 @given(MISSIONS, st.data())
 @settings(max_examples=300)
 def test_so_does_that_of_the_rows_of_a_mission(mission: Mission, data: st.DataObject):

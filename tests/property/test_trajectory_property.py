@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import hypot
 
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -56,6 +57,7 @@ def test_derivatives_agree_with_differences(section: TrajectorySection, share: f
         assert abs((after[axis] - before[axis]) / (2 * step) - here[axis + 2]) <= jerk * step + 1e-8
 
 
+@pytest.mark.slow
 @given(SECTIONS)
 @settings(max_examples=100, deadline=None)
 def test_acceleration_is_bounded_and_continuous(section: TrajectorySection):

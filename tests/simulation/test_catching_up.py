@@ -125,6 +125,7 @@ def test_a_robot_that_leaves_stays_behind_and_the_others_drive_on():
     assert run.distance(1, 4) > 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [1, 7])
 def test_who_was_dead_when_a_robot_joined_knows_it_when_it_is_back(robot: int):
     away = rule(f"robot = {robot}\nat = 3\nfor = 4\nkill = 'both'")
@@ -182,6 +183,7 @@ def test_a_partition_leaves_nobody_with_another_mission_once_it_has_healed():
     assert run.distance(1, 2) == pytest.approx(1.4, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_dead_neighbour_is_seen_before_it_is_missed_and_replaced_by_the_reserve():
     away = rule("robot = 3\nat = 4\nkill = 'agent'")
     run = Run(order(8.0, "kind = 'replace'\nrobot = 3\nby = 7"), away).until(4.2)

@@ -55,6 +55,7 @@ def drive(made: Fleet) -> tuple[RunResult, Callable[[float, float], float]]:
     return RunResult(recording), share
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", LINKS)
 def test_a_delta_forms_as_safely_and_as_exactly_for_a_tenth_of_the_messages(links: str):
     (periodic, _), (event, share) = (drive(fleet("delta", *LINKS[links], *more)) for more in ((), (EVENT,)))
@@ -74,6 +75,7 @@ def test_what_is_not_sent_is_not_lost_and_every_fate_is_as_the_rules_say():
     assert event.metrics["links_audit"]["unrecorded"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["kill", "pause"])
 def test_an_agent_that_dies_or_hangs_is_missed_as_soon_as_ever(what: str):
     """In a settled formation, in which nobody had anything to say."""

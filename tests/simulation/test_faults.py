@@ -127,6 +127,7 @@ EVERYTHING = (
 )
 
 
+@pytest.mark.slow
 def test_all_kinds_of_faults_at_once_give_the_same_bytes_again():
     one, two = (Run(*EVERYTHING, duration_s=6.0).drive() for _ in range(2))
     assert one.log == two.log
@@ -170,6 +171,7 @@ def test_a_fleet_whose_messages_are_late_drives_half_a_second_after_it_is_ready(
     assert run.agent_states() == {State.RUNNING}
 
 
+@pytest.mark.slow
 def test_a_fleet_that_is_never_ready_is_told_of_with_the_robots_and_why():
     run = Run("link = '2->1'\nloss = '100%'").drive()
     assert run.simulation.reasons == [
@@ -240,6 +242,7 @@ def test_a_robot_starts_by_its_own_clock():
     assert arrivals == {1: 100_000, 3: 100_000 - NS_PER_S // 10}  # in true time 0.1 s before the others
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("skew_s", "refusing"), [(0.3, {1, 2, 5, 6}), (-0.3, {3})])
 def test_a_clock_that_is_300_ms_off_keeps_the_fleet_from_starting(skew_s: float, refusing: set[int]):
     """Those who refuse what seems to be of the future wait, and those whom they therefore do not hear."""
@@ -305,6 +308,7 @@ def test_jitter_beyond_the_period_skips_ticks_and_they_are_counted():
     assert run.plant(1).overruns == 0
 
 
+@pytest.mark.slow
 def test_measurements_that_drop_out_are_bridged():
     clean, holed = Run().drive(), Run("dropout = '30%'").drive()
     assert len(holed.states(1)) == pytest.approx(0.7 * len(clean.states(1)), rel=0.05)
@@ -349,6 +353,7 @@ def test_an_agent_that_starts_again_drives_again():
     assert told == []  # nobody had to
 
 
+@pytest.mark.slow
 def test_a_body_whose_plant_starts_again_stands_where_it_was():
     run = Run("robot = 3\nat = 5\nrestart = 'plant'", duration_s=18.0).until(4.99)
     moving = run.states(3)[-1]

@@ -96,6 +96,7 @@ def test_random_starts_are_what_they_say():
 # ---------------------------------------------------------------------- what a fleet may be
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["joint", "edge"])
 def test_delta_settles_on_its_line(law: str):
     trace = drive(resolved(bundled("delta", law=law)))
@@ -105,6 +106,7 @@ def test_delta_settles_on_its_line(law: str):
     assert trace.tracking_error()[-1].max() < 0.1
 
 
+@pytest.mark.slow
 def test_the_penalty_law_is_safe_whatever_shape_it_comes_to():
     """Its edges compete with navigation: from here it settles after 20 to 55 s or not at all, by the rate."""
     assert drive(resolved(bundled("delta", law="penalty"))).distances().min() > 0.22
@@ -116,6 +118,7 @@ def test_pair_settles_and_stays():
     assert abs(trace.distances()[-1, 0] - 1.0) < 0.01
 
 
+@pytest.mark.slow
 def test_line_of_ten_settles_on_its_waypoints():
     trace = drive(resolved(bundled("line10", "fleet.duration_s=25")))
     settled = trace.settling_time()
@@ -124,6 +127,7 @@ def test_line_of_ten_settles_on_its_waypoints():
     assert trace.distances().min() > 0.22
 
 
+@pytest.mark.slow
 def test_lattice_of_45_settles_on_its_circle():
     trace = drive(resolved(bundled("lattice45", "fleet.duration_s=20")))
     settled = trace.settling_time()
@@ -162,6 +166,7 @@ def test_every_edge_may_have_its_own_distance():
     assert trace.distances()[-1] == pytest.approx(lengths, abs=0.01)
 
 
+@pytest.mark.slow
 def test_noise_and_lag_and_limits_are_survived():
     fleet = bundled(
         "delta",
@@ -208,6 +213,7 @@ def joint_solution(fleet: Fleet, times: Floats) -> Floats:
     return solution.y[: 2 * n].T.reshape(len(times), 2, n).transpose(0, 2, 1)
 
 
+@pytest.mark.slow
 def test_agents_find_the_joint_multipliers_together():
     """One sweep a tick with what the neighbours sent: the faster, the nearer to the exact law."""
     errors = []
@@ -291,6 +297,7 @@ def running_delta(*overrides: str) -> tuple[Simulation, HandTrace]:
     return simulation, kept
 
 
+@pytest.mark.slow
 @pytest.mark.patches
 def test_neighbours_of_a_frozen_agent_drive_on_without_it_and_take_it_back():
     simulation, kept = running_delta()
@@ -371,6 +378,7 @@ def test_progress_can_end_a_run():
     assert simulation.now_ns == pytest.approx(at(simulation, told[-1]))
 
 
+@pytest.mark.slow
 def test_new_mission_while_driving_leaves_the_formation_together():
     """All have it within a tick, and its epoch lies ahead: they wait for it, and start anew."""
     fleet = resolved(bundled("delta"))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from math import sqrt
 
+import pytest
+
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
@@ -50,6 +52,7 @@ def driven(fleet: Fleet) -> tuple[Simulation, list[Beacon]]:
     return simulation, said
 
 
+@pytest.mark.slow
 def test_every_robot_hears_the_beacons_of_all_others() -> None:
     """Once they know the mission 81 of them say one in two ticks: some 40 at a time, while others of the same
     tick come already. Then less often, but as often as they must."""
@@ -81,6 +84,7 @@ def test_that_agents_tick_rarely_before_a_mission_makes_no_link_late() -> None:
         } == dict.fromkeys(peers.listened, 0)
 
 
+@pytest.mark.slow
 def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
     """Nor is it worked out where he might stand: of many robots that is the most that a tick costs."""
     fleet = resolved(parse_fleet(lattice(), source="here"))
@@ -91,6 +95,7 @@ def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
     assert not any(agent._peers.whereabouts._beliefs for agent in simulation.agents)
 
 
+@pytest.mark.slow
 def test_nor_while_they_drive_and_they_do_not_speak_all_at_once() -> None:
     """They begin together, in the tick of the mission, and pass each other on their ways to their places."""
     fleet = resolved(parse_fleet(driving_lattice("many", 60, duration_s=5.0), source="here"))
@@ -103,6 +108,7 @@ def test_nor_while_they_drive_and_they_do_not_speak_all_at_once() -> None:
     assert max(settled.values()) < 4.0 * settled.total() / (2.0 * fleet.fleet.rate_hz)
 
 
+@pytest.mark.slow
 def test_that_all_take_an_order_is_no_news_and_one_answer_of_many_is_enough() -> None:
     """A resume once threw a fleet of 100 into overload: all told all of it at once, and again, and all
     answered the operator who asked for the orders before it gave it."""
@@ -136,6 +142,7 @@ def test_that_all_take_an_order_is_no_news_and_one_answer_of_many_is_enough() ->
     assert of(7.0, 8.0, Beacon) <= 2 * robots
 
 
+@pytest.mark.slow
 def test_nor_is_a_mission_and_each_knows_by_which_others_go_who_have_heard_it_last() -> None:
     """100 of them once said at once that they had it, each to 99 others, while each worked its plan out. Who
     loses one goes by what that told last, so each goes by what itself told last, not by what it has."""

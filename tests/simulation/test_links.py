@@ -75,6 +75,7 @@ def test_without_prediction_robots_are_kept_from_where_the_others_are_by_now(del
     assert closest.distance_m > SAFE_M
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slot", ["500ms", "800ms"])
 def test_messages_that_come_in_bursts_are_not_silence(slot: str):
     """Up to 40 at once, the youngest just sent."""
@@ -85,6 +86,7 @@ def test_messages_that_come_in_bursts_are_not_silence(slot: str):
     assert back_after(times, distances) < 25.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("late", "duration_s"), [("500ms", 60.0), ("1s", 120.0)])
 def test_who_has_to_make_way_for_others_goes_slowly_where_messages_are_late(late: str, duration_s: float):
     """Six robots through one point: who turns aside is not where the others expect it."""
@@ -108,6 +110,7 @@ def test_twelve_robots_cross_a_circle_though_half_of_the_late_messages_is_lost(s
 # --- three faults -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_halves_cut_off_for_five_seconds_keep_back_and_come_together_again():
     """Nobody knows whether the other half has stopped: who drives behind it keeps off its way."""
     times, distances = driven(delta("fleet.duration_s=26", scenario="partition"))
@@ -116,6 +119,7 @@ def test_two_halves_cut_off_for_five_seconds_keep_back_and_come_together_again()
     assert back_after(times, distances) < 25.0
 
 
+@pytest.mark.slow
 def test_two_halves_that_hold_while_they_are_cut_off_come_together_again():
     times, distances = driven(delta("fleet.duration_s=28", "supervision.silence=hold", scenario="partition"))
     assert distances.min() > SAFE_M
@@ -129,6 +133,7 @@ def test_a_flapping_link_is_not_even_felt():
     assert back_after(times, distances) < 14.0
 
 
+@pytest.mark.slow
 def test_a_robot_that_hears_nobody_for_ten_seconds_catches_up():
     times, distances = driven(delta("fleet.duration_s=38", scenario="deaf"))
     assert distances.min() > SAFE_M
@@ -142,6 +147,7 @@ def test_a_robot_that_hears_nobody_for_ten_seconds_catches_up():
 SEEDS = (165_931_708_923_132, 1, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("links", "final_mm"), [(MIDDLING, 2.0), (BAD, 5.0)])
 def test_random_starts_on_bad_links(seed: int, links: tuple[str, ...], final_mm: float):
@@ -152,6 +158,7 @@ def test_random_starts_on_bad_links(seed: int, links: tuple[str, ...], final_mm:
     assert np.abs(distances[-1] - 1.0).max() < 1e-3 * final_mm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_starts_on_bad_links_with_jitter_and_noise(seed: int):
     fleet = random_fleet(delta("fleet.duration_s=25", *BAD, *NOISE, scenario="jitter"), seed)
@@ -160,6 +167,7 @@ def test_random_starts_on_bad_links_with_jitter_and_noise(seed: int):
     assert found["settling_time_s"] < 15.0
 
 
+@pytest.mark.slow
 def test_without_prediction_the_same_links_leave_an_error():
     fleet = random_fleet(delta("fleet.duration_s=30", *MIDDLING, "control.prediction=false"), 1)
     _, distances = driven(fleet)

@@ -126,6 +126,7 @@ def test_all_that_are_late_all_the_time_settle_at_a_lower_rate() -> None:
     assert {status.state for status in run.statuses[-6:]} == {"degraded"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", range(1, TOP + 1))
 def test_a_fleet_settles_at_every_step(level: int) -> None:
     run = Run()
@@ -139,6 +140,7 @@ def test_a_fleet_settles_at_every_step(level: int) -> None:
     assert len(run.beacons) == pytest.approx(6 * 20.4 * 5, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rules", [(), ("delay = '100ms 20ms'\nloss = '20%'",)])
 def test_robots_of_different_steps_keep_apart_and_settle(rules: tuple[str, ...]) -> None:
     run = Run(*rules, duration_s=25.0)
@@ -153,6 +155,7 @@ def test_steps_that_change_all_the_time_do_no_harm() -> None:
     run.expect_safe(0.01)
 
 
+@pytest.mark.slow
 def test_where_robots_cannot_be_controlled_any_more_all_stand_and_go_on_later() -> None:
     """At 10 Hz, ticks that come up to three periods late: driving on, they are 1.2 m off after 25 s."""
     run = Run("at = 2\nfor = 12\ntick_jitter = '300ms'", duration_s=40.0, of=LATTICE).until(7.0)
@@ -176,6 +179,7 @@ def test_who_stands_for_it_does_not_tell_everybody_of_everybody_who_is_late() ->
     assert {hand.next_ms for hand in run.hands if hand.time_ns > since_ns} == {1000}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 8, 10])
 def test_processes_that_stand_now_and_then_are_silent_and_none_drives_into_their_robots(seed: int) -> None:
     """Each agent's and each plant's ticks now and then come up to a second late: too seldom for all to stand.

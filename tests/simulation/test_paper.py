@@ -47,6 +47,7 @@ def error(rate_hz: int) -> Floats:
     return np.hypot(difference[..., 0], difference[..., 1])
 
 
+@pytest.mark.slow
 def test_agents_and_plants_follow_the_papers_equations():
     trace = driven(200)
     assert trace.times == pytest.approx(np.arange(round(DURATION_S / GRID_S) + 1) * GRID_S)
@@ -70,6 +71,7 @@ def test_the_verdict_names_the_pair_without_an_edge_that_the_law_lets_collide():
     assert result.metrics["min_distance_m"]["edge"] == pytest.approx(0.301, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_sampled_loop_is_of_second_order_in_the_period():
     errors = {rate_hz: float(error(rate_hz).max()) for rate_hz in (50, 100, 200)}
     print({f"{rate_hz} Hz": f"{1e3 * value:.2f} mm" for rate_hz, value in errors.items()})  # pytest -rP

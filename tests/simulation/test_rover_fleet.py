@@ -102,6 +102,7 @@ class Run:
         return all(abs(self.distance(i, j) - 3.0) < metres for i, j in ((1, 2), (1, 3), (2, 3)))
 
 
+@pytest.mark.slow
 def test_taken_over_its_neighbours_are_told_and_carry_on_and_resumed_it_comes_back() -> None:
     run = Run()
     run.until_fleet_time(15.0)
@@ -177,6 +178,7 @@ def test_an_agent_that_dies_has_its_rover_brake_and_a_new_one_drives_on() -> Non
     assert run.edges_within(0.15)
 
 
+@pytest.mark.slow
 def test_a_bridge_that_dies_leaves_its_rover_standing_and_a_new_one_drives_on_when_told() -> None:
     run = Run(rules=("robot = 2\nat = 8\nfor = 6\nkill = 'plant'",))
     run.until_fleet_time(8.0)
@@ -248,6 +250,7 @@ def test_a_bridge_that_dies_while_its_operator_has_the_rover_does_not_take_it() 
     run.until(lambda: run.agent(2).state is State.RUNNING, 2.0)
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_reboots_is_released_and_comes_back_when_told() -> None:
     run = Run()
     run.until_fleet_time(8.0)
@@ -289,6 +292,7 @@ def test_a_cut_link_is_a_fault_until_it_is_back() -> None:
     assert run.edges_within(0.15)
 
 
+@pytest.mark.slow
 def test_a_jammed_gps_is_told_at_once() -> None:
     run = Run()
     run.until_fleet_time(8.0)

@@ -32,6 +32,7 @@ def check(found: Driven, late: float, settled: float = SETTLED_S) -> None:
     assert found.pairs.min() > 1.0, found.verdict
 
 
+@pytest.mark.slow
 def test_six_rovers_take_up_their_formation():
     check(driven(rovers()), 0.05)
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 
+import pytest
+
 from deploy.playback.marks import VEHICLE, marks
 from deploy.verdict.run_result import RunResult
 from tests.rover_fleet import Drive, Hold
 
 
+@pytest.mark.slow
 def test_a_link_that_is_cut_for_two_seconds_is_said_and_fails_nothing() -> None:
     drive = Drive(40.0)
     drive.until(12.0)
@@ -56,6 +59,7 @@ def test_a_rover_that_its_own_failsafe_took_for_good_fails() -> None:
     assert any("robot 2 says (warning): Battery 1 is low 9.90V" in text for text in said)
 
 
+@pytest.mark.slow
 def test_a_rover_whose_gps_was_jammed_until_its_own_failsafe_took_it_fails() -> None:
     """Its vehicle is in HOLD, as if its operator had set it; but it says why itself."""
     drive = Drive(45.0)

@@ -326,6 +326,7 @@ def test_who_is_heard_and_does_not_hear_is_kept_from_by_the_ways_that_it_knows()
     assert_apart(scene("deaf_ways"))
 
 
+@pytest.mark.slow
 def test_the_lane_of_a_robot_that_was_replaced_holds_nobody() -> None:
     """Robot 4 has taken the place of 1, which is dead; then 2 dies, which shared an edge with 1 before."""
     result = scene("replaced_dead")
@@ -333,6 +334,7 @@ def test_the_lane_of_a_robot_that_was_replaced_holds_nobody() -> None:
     assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
 
 
+@pytest.mark.slow
 def test_of_two_halves_face_to_face_that_with_the_right_of_way_goes_on() -> None:
     """On the same lines: who stands on the lane of robot 1 is gone round, on the side where nobody drives."""
     result = scene("halves_meet")
@@ -341,6 +343,7 @@ def test_of_two_halves_face_to_face_that_with_the_right_of_way_goes_on() -> None
     assert hypot(*off[result.analysis.ids.index(1)]) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["swap_beside_one_dead", "swap_beside_two_dead"])
 def test_who_is_overtaken_by_what_is_believed_of_the_dead_gets_out(name: str) -> None:
     """Robots that exchange places across a circle in the middle of which some die."""
@@ -349,6 +352,7 @@ def test_who_is_overtaken_by_what_is_believed_of_the_dead_gets_out(name: str) ->
     assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["all_restarted", "deaf_restart", "reshaped_restart", "swapped_restart"])
 def test_who_has_started_again_knows_no_more_than_it_is_told(name: str) -> None:
     assert_apart(scene(name))

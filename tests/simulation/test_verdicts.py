@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.formation.geometry import resolved
 from deploy.console.data_files import FLEETS
@@ -41,6 +43,7 @@ def test_a_dead_robot_that_was_replaced_is_no_missing_pose() -> None:
     assert any("Rule 'plant' stopped robot 4's plant: from " in each for each in result.warnings)
 
 
+@pytest.mark.slow
 def test_a_dead_robot_that_nobody_replaced_is_missed() -> None:
     """Killed on purpose: the verdict says what the formation lacks, and does not take the data as bad."""
     result = driven(DEAD)

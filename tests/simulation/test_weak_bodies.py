@@ -19,6 +19,7 @@ FAR = [(5.0, 0.0), (2.0, 0.7), (2.0, -0.7)]
 ACROSS = [(-1.2 * x + 0.04 * k, -1.2 * y) for k, (x, y) in enumerate(RING)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("places", "starts", "speed_mps", "acceleration"),
     [

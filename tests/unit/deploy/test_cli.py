@@ -294,6 +294,7 @@ def command_line(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [1, 2])
 def test_what_is_said_to_a_stream_that_is_closed_goes_nowhere(closed: int, tmp_path: Path) -> None:
     """And not to the other stream, nor into a file that has got its number."""

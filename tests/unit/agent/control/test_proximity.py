@@ -410,6 +410,7 @@ def plainly(of: Proximity, peers: Peers, peer: Peer, now_ns: int, here: Hand) ->
 SPEEDS = st.one_of(st.just(0.0), st.floats(-4.0, 4.0))
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(
     large=st.booleans(),

@@ -285,6 +285,7 @@ def test_texts_that_are_not_a_fleet(text: str, message: str | None) -> None:
     assert message is None or str(caught.value) == message
 
 
+@pytest.mark.slow
 def test_a_file_of_rubbish_is_cut_short() -> None:
     with pytest.raises(FleetError) as caught:
         parse_fleet("\n".join(f"flet{k} = 1" for k in range(20_000)), source="a")

@@ -323,6 +323,7 @@ def test_chains_that_do_not_forget_are_stationary_all_the_same():
 # --- links and purposes -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_links_and_purposes_are_independent():
     others = [
         random_streams.stream(7, "link", 2, 1, "hand", "something"),

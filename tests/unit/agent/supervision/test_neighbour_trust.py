@@ -205,6 +205,7 @@ def test_of_many_who_holds_finds_out_who_is_near_before_it_goes_on(bench: FleetB
     assert not controller.rests
 
 
+@pytest.mark.slow
 def test_who_held_does_not_go_on_by_a_mission_that_those_it_hears_have_left(bench: FleetBench):
     """Before it drives it has what they go by, whatever that says of its own place."""
     silence(bench, 2, 3)
@@ -373,6 +374,7 @@ def test_ages_of_all_neighbours_are_told(bench: FleetBench):
 EVENT = ('control.send="event"', "control.send_every_s=0.6")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bench", [EVENT], indirect=True)
 def test_silence_that_was_promised_is_none_and_a_dead_neighbour_is_given_up_as_soon(bench: FleetBench):
     before = len(bench.sayings("few/robot/3/hand"))

@@ -187,6 +187,7 @@ def test_what_would_be_late_again_at_the_higher_rate_is_not_calm() -> None:
     assert loop.levels == [(loop.levels[0][0], 1)]
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, 4),
     st.sampled_from([4.0, 10.0, 20.0, 50.0, 200.0]),

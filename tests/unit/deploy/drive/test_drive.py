@@ -511,6 +511,7 @@ class Flood(Robots):
         return None
 
 
+@pytest.mark.slow
 def test_a_drive_of_which_more_comes_than_there_is_time_for_ends_at_its_end() -> None:
     robots = Flood("ready")
     drive, said = driven(robots, record=robots.record)

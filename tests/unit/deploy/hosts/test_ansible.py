@@ -454,6 +454,7 @@ def batched(
     return done.returncode, re.findall(r"(rover\d) +: ok=1", recap)
 
 
+@pytest.mark.slow
 @ansible
 def test_hosts_are_brought_up_in_batches(tmp_path: Path):
     assert batched(tmp_path / "a") == (0, HOSTS)
@@ -467,6 +468,7 @@ def test_hosts_are_brought_up_in_batches(tmp_path: Path):
     assert batched(tmp_path / "g", "--check", failing=("rover1",))[1] == HOSTS[1:], "a look is at all of them"
 
 
+@pytest.mark.slow
 @ansible
 @pytest.mark.parametrize(
     ("of_2", "asked", "why"),

@@ -106,6 +106,7 @@ def segments_in(folders: Iterable[Path]) -> Sequence[SegmentFile]:
     return recordings(by_robot(folders)).segments
 
 
+@pytest.mark.slow
 def test_the_merged_run_is_the_run(tmp_path: Path) -> None:
     found = merge(by_robot(record_all(tmp_path / "hosts")), tmp_path / "run")
     assert found.warnings == ()

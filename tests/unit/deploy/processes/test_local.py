@@ -251,6 +251,7 @@ def lattice(n: int, rate_hz: float) -> Fleet:
     return replace(fleet, network=network)
 
 
+@pytest.mark.slow
 def test_bodies_that_are_asked_for_by_name_share_nothing() -> None:
     Processes(lattice(30, 10.0), Path("fleet.toml"), Path, processes=[(3, "plant"), (4, "plant")]).start()
     assert [child.arguments[2:] for child in started if child.role == "plant"] == [
@@ -258,6 +259,7 @@ def test_bodies_that_are_asked_for_by_name_share_nothing() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_who_shares_a_process_starts_after_the_agents_and_is_known_by_its_own_name() -> None:
     made = Processes(lattice(26, 10.0), Path("fleet.toml"), Path("/logs").joinpath)
     made.start()

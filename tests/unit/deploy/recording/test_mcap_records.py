@@ -173,6 +173,7 @@ SETTINGS = settings(
 )
 
 
+@pytest.mark.slow
 @SETTINGS
 @DAMAGE
 @example(where=0.0, length=1, how="other", killed=False)

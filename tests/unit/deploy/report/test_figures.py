@@ -37,6 +37,7 @@ def files(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_each_figure_is_there_in_each_format(drawn: Path) -> None:
     assert files(drawn) == {f"{name}.{kind}" for name in NAMES for kind in BEGINS}
     for path in drawn.iterdir():

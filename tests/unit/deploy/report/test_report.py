@@ -118,6 +118,7 @@ def drawn_before(drawn: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(figures, "write_figures", put)
 
 
+@pytest.mark.slow
 def test_live_and_rebuilt_reports_are_the_same_bytes(tmp_path: Path) -> None:
     recording = leave_run(tmp_path, FLEET, good_run())
     found = finish(tmp_path, recording)

@@ -633,6 +633,7 @@ def test_pictures_are_drawn_and_the_same_again(
     assert written[0] == written[1]
 
 
+@pytest.mark.slow
 def test_what_pictures_leave_out_is_said(tmp_path: Path) -> None:
     plan = make_plan(
         ask("control.kp=0,1", "control.c2=1,2", f"control.c1={','.join(map(str, range(1, 15)))}")

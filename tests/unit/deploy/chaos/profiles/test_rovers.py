@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+import pytest
+
 from deploy.chaos.dice import Tables
 from deploy.chaos.profiles.rovers import (
     APART_M,
@@ -43,6 +45,7 @@ def test_of_two_to_whom_something_happens_neither_is_the_other() -> None:
         assert len({int(robot) for robot in robots}) == 2
 
 
+@pytest.mark.slow
 def test_some_roll_at_one_that_hears_them_from_far_enough_away() -> None:
     alone = [rules for seed in SEEDS if len(rules := draw_rovers(seed)["faults"]["rule"]) == 1]
     aimed = [rule for (rule,) in alone if rule["name"] == "rolls" and "kill" in rule]

@@ -102,6 +102,7 @@ def test_where_no_rate_fits_it_says_what_might() -> None:
         )
 
 
+@pytest.mark.slow
 def test_where_a_mesh_never_fits_routers_are_proposed() -> None:
     # Signs of life on forty idle links take more than all that is said.
     sets = ("avoidance.sensing_m=1.2", "network.budget=60000")
