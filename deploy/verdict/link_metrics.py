@@ -175,19 +175,18 @@ def _measured(recording: Recording, link: Link) -> dict[str, Any]:
         times, entries = _of_neighbour(status, link.source)
         rows = np.flatnonzero(times <= recording.end_s)
         if len(rows):
-            before = rows[times[rows] <= 0.0]
-            rows = rows[len(before) - 1 :] if len(before) else rows
-            start = float(times[rows[0]]) if len(before) else 0.0
-            end = float(times[rows[-1]])
-            received = _counted(entries["received"][rows], bool(len(before)))
-            lost = _counted(entries["lost"][rows], bool(len(before)))
+            # From the last status before the drive, or the first within it: what the counter held then was
+            # sent at times that nobody knows.
+            rows = rows[max(int(np.count_nonzero(times[rows] <= 0.0)) - 1, 0) :]
+            start, end = float(times[rows[0]]), float(times[rows[-1]])
+            received, lost = (_counted(entries[name][rows]) for name in ("received", "lost"))
     sent = int(np.count_nonzero((table.t > start) & (table.t <= end)))
     return {"sent": sent, "received": received, "lost": lost}
 
 
-def _counted(totals: Ints, from_first: bool) -> int:
+def _counted(totals: Ints) -> int:
     """By how much a counter grew; one that starts again with its process begins at 0."""
-    steps = np.diff(totals, prepend=totals[0] if from_first else 0)
+    steps = np.diff(totals, prepend=totals[0])
     return int(np.where(steps >= 0, steps, totals).sum())
 
 

@@ -188,7 +188,7 @@ def _link(name: str) -> Callable[[Evidence], Any]:
 
 _MESSAGES: Final = {
     "sent": "Hand states, counted once for every neighbour.",
-    "received": "Hand states that agents accepted.",
+    "received": "Hand states that agents accepted, also from robots nearby that are no neighbours.",
     "lost": "Hand states that did not arrive, or after a newer one.",
     "delayed": "Came more than two rounds after they were sent.",
     "duplicated": "Arrived more than once.",

@@ -149,6 +149,17 @@ def test_messages_of_the_drive_are_counted_between_two_statuses() -> None:
     assert link["measured"] == {"sent": 98, "received": 40 + 5 + 15, "lost": 2 + 1 + 2}
 
 
+def test_what_came_before_the_first_status_is_not_counted() -> None:
+    recording = fed(
+        trace(2, (1, 0, 1, at(0.5), 0, 0)),
+        status(2, 0.5, (1, 0, 100, 7, 0, -1), (3, 0, 1, 1, 0, -1)),  # its agent came late: of which 100?
+        status(2, 1.5, (1, 0, 149, 8, 0, -1), (3, 0, 2, 2, 0, -1)),
+        statuses=False,
+    )
+    (link,) = describe_links(recording)["links"]
+    assert link["measured"] == {"sent": 50, "received": 49, "lost": 1}
+
+
 def test_of_own_plants_only_what_was_sent_is_known() -> None:
     recording = fed(
         (
