@@ -27,6 +27,8 @@ SOURCES := $(shell find agent plant bridges deploy handfast.py -type f ! -name '
 COMPILED_CFLAGS := -ffp-contract=off -g0
 
 DEMO_OUT ?= runs/demo
+# Where every test is one that starts processes; named, that the others need not be collected again.
+STARTING := tests/process tests/hosts
 QUICK := not process and not slow and not autopilot and not compiled
 REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
 REST := $(REST)$(if $(filter compiled,$(SLOW)), and (patches or not slow))
@@ -36,8 +38,9 @@ OF_COMPILED := $(addprefix tests/,unit/agent unit/plant property simulation)
 # What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
 DRIVES := slip or in_run or mid_drive or supervision
-# Of the tests that start processes those of one module share what it has set up. All of tests/hosts
-# are one worker's, which has them as long as another has the rest: a third would only make both late.
+# Of the tests that start processes those of one module share what it has set up. Those of tests/hosts are one
+# worker's, but for some (tests/conftest.py), which has them as long as another has the rest: a third would
+# only make both late.
 WAITING := -n 2 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(abspath $(JUNIT))/$(1).xml)
 
@@ -55,8 +58,8 @@ demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves i
 
 test: $(VENV)/.dev ## all tests but those of `make compiled`: those that compute, start processes, need a machine alone
 	$(PY) -m pytest -n 2 -m '$(REST)' $(call junit,computing)
-	$(PY) -m pytest $(WAITING) -m 'process and not alone' $(call junit,processes)
-	$(PY) -m pytest -m 'process and alone' $(call junit,alone)
+	$(PY) -m pytest $(STARTING) $(WAITING) -m 'not alone' $(call junit,processes)
+	$(PY) -m pytest $(STARTING) -m alone $(call junit,alone)
 
 test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same bytes as the Python it is made of
 	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)

@@ -16,6 +16,7 @@ from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
 HERE = Path(__file__).parent
 PROCESS_FOLDERS = ("hosts", "process")  # every test in them starts processes; the longest first
+APART = ("tests/hosts/test_export_deployment.py",)  # Ansible takes a quarter of the time of all that have hosts
 MAY_SKIP = ("autopilot", "realtime")
 ORDER = ("", "slow", "process", "autopilot")  # quick tests first, so that a plain mistake shows at once
 MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test starts
@@ -48,15 +49,17 @@ def pytest_report_header(config: pytest.Config) -> str:
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling | None:
-    """With --dist loadfile: modules side by side, but one set of test hosts at a time, which is enough."""
-    return OneSetOfHosts(config, log) if config.getoption("dist") == "loadfile" else None
+    """With --dist loadfile: modules side by side, but few sets of test hosts at a time."""
+    return FewSetsOfHosts(config, log) if config.getoption("dist") == "loadfile" else None
 
 
-class OneSetOfHosts(LoadFileScheduling):
-    """Gives all tests of tests/hosts to one worker."""
+class FewSetsOfHosts(LoadFileScheduling):
+    """Gives all tests of tests/hosts to one worker, but for those of `APART`: it would have them long after
+    the others are done."""
 
     def _split_scope(self, nodeid: str) -> str:
-        return "tests/hosts" if nodeid.startswith("tests/hosts/") else super()._split_scope(nodeid)
+        scope: str = super()._split_scope(nodeid)
+        return "tests/hosts" if scope.startswith("tests/hosts/") and scope not in APART else scope
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
