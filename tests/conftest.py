@@ -16,7 +16,8 @@ from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
 HERE = Path(__file__).parent
 PROCESS_FOLDERS = ("hosts", "process")  # every test in them starts processes; the longest first
-APART = ("tests/hosts/test_export_deployment.py",)  # Ansible takes a quarter of the time of all that have hosts
+# Ansible takes a quarter of the time of all tests that have hosts.
+APART = ("tests/hosts/test_export_deployment.py",)
 MAY_SKIP = ("autopilot", "realtime")
 ORDER = ("", "slow", "process", "autopilot")  # quick tests first, so that a plain mistake shows at once
 MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test starts
