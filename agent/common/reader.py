@@ -314,11 +314,12 @@ class Reader:
         question = self._did_you_mean(key, names)
         if is_section and issubclass(model, tuple(self.unread)):
             return
-        if question:
-            self.add(place, f"unknown {kind}; {question}")
-        elif elsewhere:
+        if elsewhere:
             homes = " or ".join(f"[{name}]" for name in elsewhere)
-            self.add(place, f"unknown {kind}; {key} belongs in {homes}")
+            here = f"; here, {question}" if question else ""
+            self.add(place, f"unknown {kind}; {key} belongs in {homes}{here}")
+        elif question:
+            self.add(place, f"unknown {kind}; {question}")
         elif is_section:
             self.add(place, f"unknown {kind}: no plugin that is used here has one of this name")
         else:

@@ -428,13 +428,14 @@ def _gaps(fleet: Fleet, each: _Rule, topic: str, limit: float, name: str, then: 
     links = sum(link.topic == topic for link in each.links)
     hourly = 3600.0 * rate * links * silences(loss, max(int(left * rate), 1))
     held = sum(last - first for first, last in each.times)
-    if loss.rate < 1.0 - 1e-9 and hourly * held / 3600.0 > SILENCES_WARN:
+    one = f"one of {links} link{'s' * (links != 1)}"
+    what = f"nothing will come on {one} for longer" if left == limit else f"the last over {one} will be older"
+    if left > 0.0 and loss.rate < 1.0 - 1e-9 and hourly * held / 3600.0 > SILENCES_WARN:
         often = f"{hourly:.3g} times an hour" if hourly < 3600.0 else f"{hourly / 3600.0:.3g} times a second"
         yield Finding(
             "warning",
             f"{each.place}.loss",
-            f"{_named(each)} ({loss}): by chance nothing will come on one of {links} "
-            f"link{'s' * (links != 1)} for longer than {name} = {limit:g} s, about {often}; {then}",
+            f"{_named(each)} ({loss}): by chance {what} than {name} = {limit:g} s, about {often}; {then}",
         )
 
 

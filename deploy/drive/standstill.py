@@ -103,7 +103,10 @@ class Standstill:
             way.close()
         self.deaf = [robot for robot in fleet.ids if not has_acknowledged(statuses.get(robot), stop)]
         reached = [robot for robot in self.deaf if others.stands_by(robot)]
-        for line in others.outcomes_of(reached, each=len(reached) <= NAMES_SHOWN):
+        lines = others.outcomes_of(reached, each=len(reached) <= NAMES_SHOWN)
+        if len(reached) > NAMES_SHOWN:
+            lines[0] = f"not acknowledged here by {len(reached)} of {len(fleet.ids)} robots: {lines[0]}"
+        for line in lines:
             view.say(line)
         self.deaf = [robot for robot in self.deaf if robot not in reached]
 

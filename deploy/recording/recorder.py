@@ -7,7 +7,9 @@ here reads a clock: the same input gives the same bytes.
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -210,10 +212,16 @@ class Recorder:
             elif log_ns >= self._flush_due_ns:
                 self._flush_due_ns = log_ns + FLUSH_PERIOD_NS
                 self._writer.flush()
+                self._find()
         except OSError as error:
             raise self._error(error) from error
         if type(kind) is not str:
             self.recorded += 1
+
+    def _find(self) -> None:
+        """Raises OSError where the file has no name any more: what is written to it nobody can read."""
+        if self._stream is not None and not os.fstat(self._stream.fileno()).st_nlink:
+            raise FileNotFoundError(errno.ENOENT, "it has been removed")
 
     def _channel(self, key: str, kind: _Kind) -> int:
         """Register the channel of a key and a kind."""

@@ -134,7 +134,8 @@ def _stack(parts: Sequence[tuple[int, Table]], fields: Sequence[Field]) -> Colum
 def named(field: Field) -> str:
     """Name of a field's column: with its unit, ``speed_mps``."""
     unit = field.about.unit.replace("/", "p").replace(" ", "").lower()
-    return f"{_NAMES.get(field.name, field.name)}{'_' if unit else ''}{unit}"
+    name = _NAMES.get(field.name, field.name)
+    return name if not unit or name.endswith(f"_{unit}") else f"{name}_{unit}"
 
 
 def _distances(a: Analysis) -> Columns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from math import inf
 from typing import Final
 
@@ -10,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.formation.points import Floats
-from agent.messages.types import LOST
 from deploy.recording.recording import Recording
 from deploy.report.drawing.fault_strip import time_axes
 from deploy.report.drawing.labels import EndLabel, label_ends
@@ -119,22 +119,27 @@ _LINES: Final = (PALETTE[1], PALETTE[0], PALETTE[3], PALETTE[7])
 
 
 def _lost(recording: Recording, end: float) -> tuple[Floats, Floats] | None:
-    """Edges of bins (s) and the share of messages between neighbours that was lost on purpose in each, %."""
-    begins, graphs = _graphs(recording)
-    ever = {pair for graph in graphs for i, j in graph for pair in ((i, j), (j, i))}
+    """Edges of bins (s) and the share of messages between neighbours that was lost on purpose in each, %.
+
+    Both are counted as they were: who sends seldom, or not at all, loses little."""
     rows = recording.links
-    rows = rows[(rows.topic == 0) & rows.first_copies & (rows.t >= 0.0) & (rows.t <= end)]
-    pairs = zip(rows.source.tolist(), rows.destination.tolist(), strict=True)
-    rows = rows[np.fromiter((pair in ever for pair in pairs), np.bool_, len(rows))]
-    if not rows.count(LOST):
-        return None
+    first = rows.first_copies
+    let_through = np.bincount(np.cumsum(first)[rows.delivered], minlength=int(first.sum()) + 1)[1:] > 0
+    rows = rows[first][~let_through]
+    rows = rows[(rows.topic == 0) & (rows.t >= 0.0) & (rows.t <= end)]
     bins = np.linspace(0.0, end, max(int(min(end / 0.5, _BINS)), 1) + 1)
-    middles = 0.5 * (bins[1:] + bins[:-1])
-    counts = np.array([2 * len(graph) for graph in graphs])
-    links = counts[np.maximum(np.searchsorted(begins, middles, side="right") - 1, 0)]
-    gone, _ = np.histogram(rows.t[(rows.what & LOST) != 0], bins)
-    sent = recording.fleet.fleet.rate_hz * np.diff(bins) * np.maximum(links, 1)
-    return bins, np.minimum(100.0 * gone / sent, 100.0)
+    gone, sent = np.zeros(len(bins) - 1), np.zeros(len(bins) - 1)
+    begins, graphs = _graphs(recording)
+    for since, until, graph in zip(begins, [*begins[1:], inf], graphs, strict=True):
+        then = rows[(rows.t >= since) & (rows.t < until)]
+        links = graph | {(j, i) for i, j in graph}
+        pairs = zip(then.source.tolist(), then.destination.tolist(), strict=True)
+        are_links = np.fromiter((pair in links for pair in pairs), np.bool_, len(then))
+        gone += np.histogram(then.t[are_links], bins)[0]
+        for source, neighbours in Counter(i for i, _ in links).items():
+            t = recording.robots[source].hand.t
+            sent += neighbours * np.histogram(t[(t >= since) & (t < until)], bins)[0]
+    return (bins, np.minimum(100.0 * gone / np.maximum(sent, 1.0), 100.0)) if gone.any() else None
 
 
 def _graphs(recording: Recording) -> tuple[list[float], list[set[tuple[int, int]]]]:

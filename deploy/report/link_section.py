@@ -113,7 +113,8 @@ def _links_table(links: Sequence[Mapping[str, Any]]) -> str:
         )
     note += (
         '<p class="soft">Lost to held: what receivers did on purpose. Received and missing: what they '
-        "counted during the drive; a message that a newer one overtook is missing.</p>"
+        "counted during the drive; a message that a newer one overtook is missing, and so is each that a "
+        "sender would have sent while it was dead.</p>"
     )
     asked = {link["asked"] for link in chosen}
     one = f"<p>Asked of every link: <code>{escape(next(iter(asked)))}</code>.</p>" if len(asked) == 1 else ""

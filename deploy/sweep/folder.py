@@ -8,6 +8,7 @@ ended; one with another question is refused.
 from __future__ import annotations
 
 import csv
+import errno
 import fcntl
 import io
 import os
@@ -91,6 +92,8 @@ class SweepFolder:
         try:
             while line:  # a full disk takes a part
                 line = line[os.write(self._stream.fileno(), line) :]
+            if not os.fstat(self._stream.fileno()).st_nlink:  # what is written to it nobody can read
+                raise FileNotFoundError(errno.ENOENT, "it has been removed")
         except OSError as error:
             raise SweepError(f"cannot write {self._results}: {error.strerror or error}") from None
 
@@ -224,8 +227,13 @@ def read_digest(folder: Path) -> str:
 def replace_file(path: Path, content: bytes) -> None:
     """Writes a file all at once: whoever reads it sees the old or the new one, never a part."""
     new = path.with_name(path.name + ".new")
-    new.write_bytes(content)
-    new.replace(path)
+    try:
+        new.write_bytes(content)
+        new.replace(path)
+    except OSError:
+        with suppress(OSError):
+            new.unlink(missing_ok=True)
+        raise
 
 
 def csv_bytes(rows: Iterable[Sequence[str]]) -> bytes:

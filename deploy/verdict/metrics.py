@@ -189,7 +189,7 @@ def _link(name: str) -> Callable[[Evidence], Any]:
 _MESSAGES: Final = {
     "sent": "Hand states, counted once for every neighbour.",
     "received": "Hand states that agents accepted, also from robots nearby that are no neighbours.",
-    "lost": "Hand states that did not arrive, or after a newer one.",
+    "lost": "Gaps in their numbers: they did not arrive, or after a newer one, or the sender was dead.",
     "delayed": "Came more than two rounds after they were sent.",
     "duplicated": "Arrived more than once.",
     "corrupted": "Damaged on the way.",
@@ -240,7 +240,7 @@ METRICS: tuple[Metric, ...] = (
         _final_tracking_error, "Final tracking error", "m", column=Column(6),
     ),
     Metric(
-        "rms_distance_error_m", "Root mean square over all edges and all times.",
+        "rms_distance_error_m", "Root mean square over all edges of robots that are not gone, and all times.",
         lambda r: _rms(r.distance_errors), "RMS distance error", "m",
         column=Column(4, picture=Picture("rms_error", "error", "RMS", "mm", 1e3, 0)),
     ),

@@ -38,6 +38,7 @@ from deploy.recording.mcap_writer import MAGIC
 from deploy.recording.message_json import reader, schema, to_json
 from deploy.recording.recorder import (
     CHANNELS_MAX,
+    FLUSH_PERIOD_NS,
     OUTCOME_METADATA,
     RUN_METADATA,
     Recorder,
@@ -297,6 +298,19 @@ def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> Non
     with pytest.raises(RecordingError) as caught:
         Recorder(path, FLEET)
     assert str(caught.value) == f"cannot write the recording {path}: No such file or directory"
+
+
+def test_a_file_that_is_removed_is_missed_within_a_second(tmp_path: Path) -> None:
+    path = tmp_path / "gone" / "run.mcap"
+    path.parent.mkdir()
+    with Recorder(path, FLEET) as recorder:
+        recorder.record(0, "key", b"")
+        path.unlink()
+        recorder.record(FLUSH_PERIOD_NS // 2, "key", b"")
+        with pytest.raises(
+            RecordingError, match=r"^cannot write the recording .*run\.mcap: it has been removed$"
+        ):
+            recorder.record(FLUSH_PERIOD_NS, "key", b"")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

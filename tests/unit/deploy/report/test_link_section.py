@@ -217,6 +217,14 @@ def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
         link_figure.links(RunResult(recording))
 
 
+@pytest.mark.parametrize("send", ["periodic", "event"])
+def test_the_share_that_was_lost_is_of_what_was_sent(send: str) -> None:
+    fleet = trio(f'[faults]\nloss = "20%"\n[control]\nsend = "{send}"\n', duration=8.0)
+    drawn = link_figure._lost(recorded(fleet, driven(fleet)), 8.0)
+    assert drawn is not None
+    assert 14.0 < drawn[1].mean() < 26.0
+
+
 def test_what_was_done_to_processes_is_marked(folder: Path) -> None:
     recording = read_run(folder)
     assert [event.what for event in recording.events] == ["kill", "start"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import csv
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -417,6 +418,17 @@ def test_a_folder_that_is_in_use_or_holds_something_else_is_refused(tmp_path: Pa
         SweepFolder(tmp_path / "b", question, plan)
     with pytest.raises(SweepError, match="cannot write the sweep's folder"):
         SweepFolder(tmp_path / "b" / "thesis.tex" / "out", question, plan)
+
+
+def test_a_folder_that_is_removed_ends_the_sweep_with_its_next_row(tmp_path: Path) -> None:
+    question = ask("control.kp=0,1")
+    with SweepFolder(tmp_path / "gone", question, make_plan(question)) as folder:
+        fill(folder, range(1))
+        shutil.rmtree(tmp_path / "gone")
+        with pytest.raises(SweepError, match=r"^cannot write .*results\.csv: it has been removed$"):
+            fill(folder, range(1, 2))
+        with pytest.raises(SweepError, match="cannot write"):
+            folder.complete()
 
 
 @pytest.mark.parametrize(
