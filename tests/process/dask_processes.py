@@ -60,10 +60,14 @@ class DaskProcesses:
         self.scheduler = self._process(
             "scheduler", "--host", ADDRESS, "--port", "0", "--no-dashboard", "--no-jupyter"
         )
-        wait_for(self.file.exists, "the scheduler", START_S, self.told)
+        wait_for(self._is_written, "the scheduler", START_S, self.told)
         logs = [self.add_worker() for _ in range(self._count)]
         for log in logs:
             wait_for(partial(_registered, log), "a worker", START_S, self.told)
+
+    def _is_written(self) -> bool:
+        """Whether the scheduler's file is there, whole: Dask makes it first, and then writes it."""
+        return self.file.exists() and self.file.read_text().rstrip().endswith("}")
 
     @property
     def address(self) -> str:
