@@ -96,6 +96,15 @@ class LinkTable:
             )
         return ~again
 
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """(n,): one row for each message of which no copy was let through, its only or first copy."""
+        first = self.first_copies
+        number = np.cumsum(first) - 1
+        copies = np.bincount(number[self.delivered], minlength=int(first.sum()))
+        lost: NDArray[np.bool_] = first & (copies[number] == 0)
+        return lost
+
     def count(self, bit: int) -> int:
         """How many rows have a bit of `what`."""
         return int(np.count_nonzero(self.what & bit))

@@ -7,9 +7,7 @@ here reads a clock: the same input gives the same bytes.
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -32,7 +30,7 @@ from deploy.recording.foxglove.channels import Channels
 from deploy.recording.foxglove.schemas import SCHEMAS
 from deploy.recording.mcap_writer import McapWriter
 from deploy.recording.message_json import schema, schema_name, to_json
-from deploy.recording.run_files import FLEET_FILE
+from deploy.recording.run_files import FLEET_FILE, must_have_a_name
 
 RUN_METADATA: Final = "handfast.run"
 OUTCOME_METADATA: Final = "handfast.outcome"
@@ -212,16 +210,12 @@ class Recorder:
             elif log_ns >= self._flush_due_ns:
                 self._flush_due_ns = log_ns + FLUSH_PERIOD_NS
                 self._writer.flush()
-                self._find()
+                if self._stream is not None:
+                    must_have_a_name(self._stream.fileno())
         except OSError as error:
             raise self._error(error) from error
         if type(kind) is not str:
             self.recorded += 1
-
-    def _find(self) -> None:
-        """Raises OSError where the file has no name any more: what is written to it nobody can read."""
-        if self._stream is not None and not os.fstat(self._stream.fileno()).st_nlink:
-            raise FileNotFoundError(errno.ENOENT, "it has been removed")
 
     def _channel(self, key: str, kind: _Kind) -> int:
         """Register the channel of a key and a kind."""

@@ -1,7 +1,9 @@
-"""Names of the files in a run's folder."""
+"""Names of the files in a run's folder; and whether one that is being written is there still."""
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import Final
 
 FLEET_FILE: Final = "fleet.toml"
@@ -14,3 +16,13 @@ EVENTS_FILE: Final = "events.txt"
 REPORT_FILE: Final = "report.html"
 LOG_FOLDER: Final = "logs"
 """Holds one log for each process."""
+
+
+def must_have_a_name(descriptor: int) -> None:
+    """For who writes to an open file for long: nobody could read what is written to one that was removed.
+
+    Raises:
+        FileNotFoundError: it has no name any more.
+    """
+    if not os.fstat(descriptor).st_nlink:
+        raise FileNotFoundError(errno.ENOENT, "it has been removed")

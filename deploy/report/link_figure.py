@@ -123,10 +123,7 @@ def _lost(recording: Recording, end: float) -> tuple[Floats, Floats] | None:
 
     Both are counted as they were: who sends seldom, or not at all, loses little."""
     rows = recording.links
-    first = rows.first_copies
-    let_through = np.bincount(np.cumsum(first)[rows.delivered], minlength=int(first.sum()) + 1)[1:] > 0
-    rows = rows[first][~let_through]
-    rows = rows[(rows.topic == 0) & (rows.t >= 0.0) & (rows.t <= end)]
+    rows = rows[rows.lost & (rows.topic == 0) & (rows.t >= 0.0) & (rows.t <= end)]
     bins = np.linspace(0.0, end, max(int(min(end / 0.5, _BINS)), 1) + 1)
     gone, sent = np.zeros(len(bins) - 1), np.zeros(len(bins) - 1)
     begins, graphs = _graphs(recording)

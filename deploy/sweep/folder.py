@@ -8,7 +8,6 @@ ended; one with another question is refused.
 from __future__ import annotations
 
 import csv
-import errno
 import fcntl
 import io
 import os
@@ -23,7 +22,7 @@ import tomli_w
 
 from agent.common.wording import printable
 from agent.runtime.version import handfast_version
-from deploy.recording.run_files import FLEET_FILE
+from deploy.recording.run_files import FLEET_FILE, must_have_a_name
 from deploy.sweep.plan import Plan, Question
 from deploy.sweep.run import Row
 from deploy.sweep.varied import Axis, Range, SweepError, parse_over
@@ -92,8 +91,7 @@ class SweepFolder:
         try:
             while line:  # a full disk takes a part
                 line = line[os.write(self._stream.fileno(), line) :]
-            if not os.fstat(self._stream.fileno()).st_nlink:  # what is written to it nobody can read
-                raise FileNotFoundError(errno.ENOENT, "it has been removed")
+            must_have_a_name(self._stream.fileno())
         except OSError as error:
             raise SweepError(f"cannot write {self._results}: {error.strerror or error}") from None
 

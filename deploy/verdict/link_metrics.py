@@ -61,10 +61,7 @@ def injected(rows: LinkTable) -> dict[str, Any]:
     `overflow` are among them); `queued` of a radio, whether they were lost there or came late; delays of the
     copies that were let through.
     """
-    first = rows.first_copies
-    messages = int(first.sum())
-    number_of = np.cumsum(first)
-    lost = messages - int(np.count_nonzero(np.bincount(number_of[rows.delivered])))
+    messages, lost = int(rows.first_copies.sum()), int(rows.lost.sum())
     delays_ms = rows.delay_us[rows.delivered] / 1e3
     return {
         "decided": messages,
