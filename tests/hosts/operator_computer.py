@@ -57,6 +57,7 @@ class Operator:
         self.set_name: Final = set_name
         self.set_folder: Final = set_folder
         self._folder = set_folder / self.name
+        self._started: Final[list[subprocess.Popen[str]]] = []
         self.home: Final = self._folder / "home"
         (self.home / ".ssh").mkdir(mode=0o700, parents=True)
         # Runs and drives of one computer find each other in its folder for temporary files: a set of hosts
@@ -146,12 +147,14 @@ class Operator:
         enter = self.space.command("mount", *(() if outside else ("net", "uts")))
         names = (*INHERITED, *(INHERITED_OUTSIDE if outside else ()))
         inherited = {name: value for name, value in os.environ.items() if name.startswith(names)}
-        return subprocess.Popen(
+        child = subprocess.Popen(
             [*enter, "env", f"--chdir={cwd or self.environment['HOME']}", *command],
             env={**inherited, **self.environment, **(env or {})},
             text=True,
             **{"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
         )
+        self._started.append(child)
+        return child
 
     def ssh(self, host: Host | str, command: str, *options: str, timeout: float = TIMEOUT_S) -> Result:
         """Runs a command on a host over ssh, as strictly as a script would."""
@@ -176,6 +179,10 @@ class Operator:
         for pid in self.pids():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+        # A test that failed in the middle left pipes open, which a later one would be blamed for.
+        for child in self._started:
+            with child:
+                child.kill()
         self.space.end()
 
 

@@ -219,7 +219,8 @@ def test_an_upgrade_takes_one_robot_at_a_time_and_the_rest_drive(fleet: FleetOnH
     upgraded = FleetOnHosts(fleet.hosts, fleet.folder, tables, fleet.cache, newer)
     before = fleet.status()
     out = tmp_path / "run"
-    child = fleet.start("drive", "--duration", "70s", "--out", str(out), "--no-report")
+    # Longer than an upgrade may take: it is interrupted after that.
+    child = fleet.start("drive", "--duration", f"{UP_TIMEOUT_S:g}s", "--out", str(out), "--no-report")
     driving(child, out)
     told = upgraded.handfast("up", timeout=UP_TIMEOUT_S)
     assert child.poll() is None, "the drive was over before the upgrade"
