@@ -49,6 +49,7 @@ def pytest_report_header(config: pytest.Config) -> str:
     return f"random examples: seed {seed}; again with --hypothesis-seed={seed}"
 
 
+@pytest.hookimpl(optionalhook=True)  # with -p no:xdist nobody knows it
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling | None:
     """With --dist loadfile: modules side by side, but few sets of test hosts at a time."""
     return FewSetsOfHosts(config, log) if config.getoption("dist") == "loadfile" else None

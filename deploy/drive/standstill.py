@@ -9,7 +9,6 @@ from typing import Final
 
 from agent.messages import key_expressions
 from deploy.console.interrupt import Interrupt
-from deploy.console.wording import NAMES_SHOWN
 from deploy.drive.fleet_state import COLLECT_S, FleetState
 from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
@@ -103,10 +102,7 @@ class Standstill:
             way.close()
         self.deaf = [robot for robot in fleet.ids if not has_acknowledged(statuses.get(robot), stop)]
         reached = [robot for robot in self.deaf if others.stands_by(robot)]
-        lines = others.outcomes_of(reached, each=len(reached) <= NAMES_SHOWN)
-        if len(reached) > NAMES_SHOWN:
-            lines[0] = f"not acknowledged here by {len(reached)} of {len(fleet.ids)} robots: {lines[0]}"
-        for line in lines:
+        for line in others.outcomes_elsewhere(reached):
             view.say(line)
         self.deaf = [robot for robot in self.deaf if robot not in reached]
 

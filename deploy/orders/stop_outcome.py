@@ -13,7 +13,7 @@ from agent.messages.key_expressions import ROLES
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
 from agent.messages.versions import AHEAD_US_MAX, can_be
 from agent.supervision.state_machine import State
-from deploy.console.wording import clock_ahead, clock_behind, grouped, robots
+from deploy.console.wording import NAMES_SHOWN, clock_ahead, clock_behind, grouped, robots
 from deploy.orders.robot_clocks import RobotClocks
 
 BRAKING: Final = frozenset(
@@ -246,9 +246,17 @@ class Stopping:
         clock = [clock_ahead(self.ahead_s)] if self.ahead_s else []
         if behind_s := self.clocks.behind_s:
             clock = [clock_behind(behind_s)]
-        return [*self.outcomes_of(self._ids, each=each), *clock]
+        return [*self._outcomes_of(self._ids, each=each), *clock]
 
-    def outcomes_of(self, ids: Sequence[int], *, each: bool) -> list[str]:
+    def outcomes_elsewhere(self, ids: Sequence[int]) -> list[str]:
+        """The same of robots that brake, but did not acknowledge it to who gave it: a line for all of them
+        where they are many."""
+        if len(ids) <= NAMES_SHOWN:
+            return self._outcomes_of(ids, each=True)
+        brake, *others = self._outcomes_of(ids, each=False)
+        return [f"not acknowledged here by {len(ids)} of {len(self._ids)} robots: {brake}", *others]
+
+    def _outcomes_of(self, ids: Sequence[int], *, each: bool) -> list[str]:
         """The same of some robots, without what is wrong with this machine's clock."""
         if each:
             return [self.outcome(robot) for robot in ids]

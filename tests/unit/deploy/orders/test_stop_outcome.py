@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from agent.messages import key_expressions
@@ -164,13 +166,24 @@ def test_of_many_those_that_brake_are_one_line_and_the_others_one_each() -> None
         "robot 8: running: its agent has not taken the stop, nothing heard from its plant",
     ]
     assert made.outcomes(each=True) == [made.outcome(robot) for robot in FLEET.ids]
-    assert made.outcomes_of((1, 7), each=False) == [
-        "2 of 2 robots brake, the last after 840 ms (1 over a new link, 1 over ssh)"
-    ]
     assert stopping().outcomes(each=False) == [
         "0 of 6 robots brake",
         "robots 1, 2, 3, 4, 7 and 8: nothing heard from its agent, nothing heard from its plant",
     ]
+
+
+def test_of_those_that_brake_by_other_ways_alone_it_says_that_they_did_not_acknowledge_it_here() -> None:
+    made = Stopping(replace(FLEET, robots=[replace(FLEET.robots[0], id=k) for k in range(1, 101)]), EPOCH, "")
+    unheard = range(1, 21)
+    for robot in unheard:
+        made.found(EPOCH + 700 * MS, robot, "agent", "stopped", made.message.version, "over ssh to host7")
+        made.found(EPOCH + 840 * MS, robot, "plant", "braking", made.message.version, "over ssh to host7")
+    assert made.outcomes_elsewhere(unheard) == [
+        "not acknowledged here by 20 of 100 robots: 20 of 20 robots brake, the last after 840 ms "
+        "(20 over ssh)"
+    ]
+    assert made.outcomes_elsewhere((1, 7)) == [made.outcome(1), made.outcome(7)]
+    assert made.outcomes_elsewhere(()) == []
 
 
 def test_of_a_clock_that_is_days_ahead_it_takes_the_robots_time() -> None:
