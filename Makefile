@@ -156,7 +156,7 @@ $(COMPILED)/.built: $(VENV)/.dev $(SOURCES)
 	@if ! $(PY) -c '$(CAN_COMPILE)'; then \
 	  echo "a C compiler and Python's headers are needed (Debian, Ubuntu: apt install gcc libc6-dev python3-dev)" >&2; exit 1; \
 	fi
-	@echo 'compiling, which takes some two minutes'
+	@echo 'compiling, which takes some five minutes'
 	@rm -rf $(COMPILED_BUILD) && mkdir -p $(COMPILED_BUILD)
 	@cp -RP agent plant bridges deploy handfast.py handfast-stubs pyproject.toml README.md LICENSE $(COMPILED_BUILD)
 	@$(PY) -m agent.messages.fast_path > $(COMPILED_BUILD)/agent/messages/compiled_fast_path.py

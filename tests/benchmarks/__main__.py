@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import platform
 import signal
 import sys
 import time
@@ -107,9 +108,15 @@ def main() -> int:
     # Whatever ends this process, its processes end in order (a shell's `&` leaves SIGINT ignored).
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, signal.default_int_handler)
-    print(f"{time.strftime('%Y-%m-%d %H:%M:%S')}, {load()}")
+    # Some builds of Python take half as much again as others.
+    python = f"Python {platform.python_version()} of {sys.base_prefix}"
+    print(f"{time.strftime('%Y-%m-%d %H:%M:%S')}, {python}, {load()}")
     results: dict[str, Result] = {}
-    record: dict[str, Any] = {"begun": time.strftime("%Y-%m-%dT%H:%M:%S"), "quick": options.quick}
+    record: dict[str, Any] = {
+        "begun": time.strftime("%Y-%m-%dT%H:%M:%S"),
+        "python": python,
+        "quick": options.quick,
+    }
     failed = False
     try:
         for name in options.names or NAMES:
