@@ -184,7 +184,8 @@ def analyse(recording: Recording, geometry: Geometry) -> Analysis:
     off: Flags = counts & (np.abs(distances - wanted) > SETTLED * wanted)
     maybe_off = follow & kept_through(off, hidden)
     lost = bool(wish.whole[-1].any()) and not counts[-1].any()  # of nobody's edges one can say that they hold
-    settling_s = _last_off(grid, maybe_off) if counts.any() and not lost else None
+    bare = not len(edges) and bool(np.isfinite(wish.places).any())  # as of one robot: nothing can be off
+    settling_s = _last_off(grid, maybe_off) if bare or (counts.any() and not lost) else None
     end_s = float(grid[-1])
     changes = [change for change in wish.changes if change.t_s <= end_s]
     ends = [*(change.t_s for change in changes[1:]), end_s]

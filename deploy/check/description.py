@@ -262,8 +262,13 @@ def _describe_start(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
     settling = None if law is None else settling_time(fleet, geometry, law)
     if law is not None and settling is None:
         yield f"settling: edges do not come within {SETTLED:.0%}: the law is unstable at the formation"
+    elif settling == 0.0:
+        yield f"settling: edges are within {SETTLED:.0%} at the start"
     elif settling is not None:
-        yield f"settling: edges within {SETTLED:.0%} after about {settling:.2g} s"
+        yield (
+            f"settling: edges within {SETTLED:.0%} after about {settling:.2g} s, half to twice that; longer "
+            "where limits or others hinder"
+        )
     least = guaranteed_distance(fleet, geometry)
     if least is not None:
         yield (

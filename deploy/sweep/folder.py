@@ -14,6 +14,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from math import isfinite
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -24,7 +25,7 @@ from agent.common.wording import printable
 from agent.runtime.version import handfast_version
 from deploy.recording.run_files import FLEET_FILE, must_have_a_name
 from deploy.sweep.plan import Plan, Question
-from deploy.sweep.run import Row
+from deploy.sweep.run import VERDICTS, Row
 from deploy.sweep.varied import Axis, Range, SweepError, parse_over
 from deploy.verdict.metrics import columns
 
@@ -154,12 +155,12 @@ class SweepFolder:
         header = self._header()
         content = self._results.read_bytes() if self._results.exists() else b""
         whole = content.rfind(b"\n") + 1
-        if whole == 0:
+        if whole == 0 and _line(header).startswith(content):
             replace_file(self._results, _line(header))
             return
-        if whole != len(content):
+        if 0 < whole < len(content):
             os.truncate(self._results, whole)
-        text = content[:whole].decode("utf-8", errors="replace")
+        text = content[: whole or None].decode("utf-8", errors="replace")
         for number, cells in enumerate(csv.reader(io.StringIO(text, newline="")), 1):
             if number == 1 and cells == header:
                 continue
@@ -177,8 +178,11 @@ class SweepFolder:
 
     def _row(self, cells: dict[str, str]) -> Row:
         run = int(cells["run"])
-        if not 0 <= run < self.plan.runs:
-            raise ValueError(run)
+        numbers = {name: float(cells[name]) for name in columns() if cells[name]}
+        if not 0 <= run < self.plan.runs or cells["verdict"] not in VERDICTS:
+            raise ValueError(cells)
+        if not all(map(isfinite, numbers.values())):
+            raise ValueError(numbers)
         return Row(
             run,
             self.plan.run_seed(run),
@@ -186,7 +190,7 @@ class SweepFolder:
             cells["reason"],
             _WORDS[cells["safe"]],
             _WORDS[cells["settled"]],
-            {name: float(cells[name]) for name in columns() if cells[name]},
+            numbers,
             float(cells["wall_s"]),
         )
 

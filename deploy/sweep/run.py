@@ -18,6 +18,7 @@ PASSED: Final = "passed"
 FAILED: Final = "failed"
 CRASHED: Final = "crashed"
 TIMED_OUT: Final = "timed out"
+VERDICTS: Final = (PASSED, FAILED, CRASHED, TIMED_OUT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
             plan.run_seed(run),
             PASSED if result.passed else FAILED,
             next(iter(result.reasons), ""),
-            None if separation is None else not separation,
+            not separation,  # None: one robot has nobody to come near
             result.analysis.settling_s is not None and not result.tracking.reasons,
             {name: float(value) for name, value in numbers.items() if value is not None},
             time.perf_counter() - begun,

@@ -53,7 +53,8 @@ class Range:
     """One field that every run draws, uniform between two numbers in the field's unit.
 
     `text` is the range as it was typed; `unit` that unit, empty without one. Of a field of whole numbers,
-    `whole`, both are such, of any size, and every one in the range is as likely.
+    `whole`, both are such, of any size, and every one in the range is as likely. `typed` are its ends where
+    the field takes them so, each with its unit.
     """
 
     field: str
@@ -62,6 +63,7 @@ class Range:
     unit: str
     text: str
     whole: bool = False
+    typed: tuple[str, str] | None = None
 
     def __str__(self) -> str:
         return f"{self.field}={self.text}"
@@ -81,7 +83,9 @@ class Range:
 
     @property
     def ends(self) -> tuple[str, str]:
-        """The least and the greatest that may be drawn."""
+        """The least and the greatest that may be drawn: what is wrong with one is said of what was typed."""
+        if self.typed is not None:
+            return self.typed
         if self.whole:
             return str(int(self.low)), str(int(self.high))
         return _plain(self.low), _plain(self.high)
@@ -161,7 +165,8 @@ def _range(name: str, written: str, entry: Entry | None) -> Range:
         numbers = [_whole(end, value) for end, value in zip(ends, numbers, strict=True)]
     if not numbers[0] < numbers[1]:
         raise SweepError(f"{said}: the range must begin below its end, such as 0..1.4s")
-    return Range(name, numbers[0], numbers[1], unit, written, whole)
+    typed = (low, high) if entry is not None and entry.setting.parse is not None else None
+    return Range(name, numbers[0], numbers[1], unit, written, whole, typed)
 
 
 def _whole(text: str, value: float) -> int:
@@ -179,7 +184,7 @@ def _accepted(said: str, parse: Callable[[object], object], ends: Sequence[str])
     matter of units, such as a share above 1, is said where all of a fleet is.
     """
     numbers, unit = _in_one_unit(ends)
-    for place, end in enumerate(ends):
+    for place, end in reversed(tuple(enumerate(ends))):  # a unit is typed behind the last
         wrong = _refused(parse, end if number(end, "") is None else float(end))
         if wrong and (numbers is None or not _refused(parse, numbers[place])):
             raise SweepError(f"{said}: {printable(wrong)}")

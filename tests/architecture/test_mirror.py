@@ -70,7 +70,6 @@ BY_OTHERS: Final = {
         deploy/session/session
         deploy/simulate/worker_pool
         deploy/sweep/folder
-        deploy/sweep/run
         plant/server
     """,
     "what it does with the others matters: tests of the whole package, of properties, of fleets": """

@@ -439,6 +439,8 @@ def test_a_folder_that_is_removed_ends_the_sweep_with_its_next_row(tmp_path: Pat
         (",true,", ",yes,"),
         (",0.5,", ",,,0.5"),
         (",0.5,", ",half,"),
+        (",0.5,", ",nan,"),
+        (",passed,", ",flown,"),
     ],
 )
 def test_a_row_that_is_not_of_the_sweep_is_refused(tmp_path: Path, old: str, new: str) -> None:
@@ -450,6 +452,32 @@ def test_a_row_that_is_not_of_the_sweep_is_refused(tmp_path: Path, old: str, new
     results.write_text(results.read_text().replace(old, new))
     with pytest.raises(SweepError, match=r"results\.csv, line 2: not a row of this sweep"):
         SweepFolder(tmp_path, question, make_plan(question))
+
+
+@pytest.mark.parametrize(
+    ("content", "is_ours"), [("run,control.kp,re", True), ("", True), ("my notes", False)]
+)
+def test_of_a_first_line_that_was_cut_off_a_heading_is_made_anew(
+    tmp_path: Path, content: str, is_ours: bool
+) -> None:
+    question = ask("control.kp=0,1")
+    with SweepFolder(tmp_path, question, make_plan(question)):
+        whole = (tmp_path / "results.csv").read_text()
+    (tmp_path / "results.csv").write_text(content)
+    if is_ours:
+        with SweepFolder(tmp_path, question, make_plan(question)):
+            assert (tmp_path / "results.csv").read_text() == whole
+    else:
+        with pytest.raises(SweepError, match="the first line is not this sweep's heading"):
+            SweepFolder(tmp_path, question, make_plan(question))
+        assert (tmp_path / "results.csv").read_text() == content
+
+
+@pytest.mark.parametrize("written", ["10..200%", "50%..200%", "0..200%"])
+def test_an_end_of_a_range_that_cannot_be_is_said_as_it_was_typed(written: str) -> None:
+    with pytest.raises(FleetError) as refused:
+        make_plan(ask(f"faults.loss={written}"))
+    assert '--over faults.loss=200%: must be between 0% and 100%, got "200%"' in str(refused.value)
 
 
 # ---------------------------------------------------------------------- what it finds

@@ -43,7 +43,7 @@ def test_a_range_is_of_the_fields_own_unit(text: str, ends: tuple[float, float],
 @pytest.mark.parametrize(
     ("over", "says"),
     [
-        ("faults.delay=0..1m", '--over faults.delay=0..1m: .*units: us, ms, s, min, h.*got "0m"'),
+        ("faults.delay=0..1m", '--over faults.delay=0..1m: .*units: us, ms, s, min, h.*got "1m"'),
         ("faults.delay=0..1kg", "units: us, ms, s, min, h"),
         ("faults.delay=0..50%", "units: us, ms, s, min, h"),
         ("faults.loss=0..0.5s", "units: %, ppm"),

@@ -1,0 +1,44 @@
+"""One run of a sweep: what becomes of it in its row."""
+
+from __future__ import annotations
+
+import pytest
+
+from deploy.sweep.claim import make_claim
+from deploy.sweep.plan import Question, make_plan
+from deploy.sweep.run import PASSED, execute
+
+ALONE = """
+[fleet]
+name = "alone"
+duration_s = 3.0
+[formation]
+safe_distance_m = 0.2
+edges = []
+offsets = [[0.0, 0.0]]
+[[robot]]
+id = 9
+x_m = 0.3
+y_m = 0.0
+"""
+RESERVE = "[[robot]]\nid = 10\nx_m = 3.0\ny_m = 0.0\nreserve = true\n"
+
+
+@pytest.mark.parametrize("more", ["", RESERVE], ids=["alone", "one in reserve"])
+def test_a_robot_without_edges_is_safe_and_settled_at_its_place(more: str) -> None:
+    plan = make_plan(Question("alone", ALONE + more, None, (), (), 2, None))
+    rows = {run: execute(plan, run) for run in range(plan.runs)}
+    for row in rows.values():
+        assert (row.verdict, row.reason, row.safe, row.settled) == (PASSED, "", True, True)
+        assert row.numbers["settling_time_s"] == 0.0
+    claim = make_claim(plan, rows)
+    assert (claim.unsafe, claim.settled.count, claim.reasons) == (0, 2, ())
+    assert claim.upper == pytest.approx(1.0 - 0.05 ** (1 / 2))
+
+
+def test_a_robot_without_edges_that_is_not_at_its_place_has_not_settled() -> None:
+    course = ("trajectory.kind=line", "trajectory.velocity_mps=[1.0, 0.0]", "control.max_speed_mps=0.5")
+    plan = make_plan(Question("alone", ALONE, None, (*course, "fleet.duration_s=12"), (), 1, None))
+    row = execute(plan, 0)
+    assert (row.safe, row.settled) == (True, False)
+    assert "from its place" in row.reason
