@@ -115,7 +115,8 @@ class NetworkSection:
     base_port: int = setting(
         7600,
         "First TCP port. The k-th robot of the file (from 0) listens on `base_port` + 2 k (agent) and "
-        f"+ 2 k + 1 (plant); all must lie within {PORT_MIN} and {PORT_MAX}.",
+        f"+ 2 k + 1 (plant); all must lie within {PORT_MIN} and {PORT_MAX}. Where one of them is taken, "
+        "`handfast run` takes others, and says which.",
         ge=PORT_MIN,
         le=PORT_MAX - 1,
     )
