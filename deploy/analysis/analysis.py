@@ -82,9 +82,9 @@ class Analysis:
     away: Flags
     """(k, n): the robot could not follow (`deploy.analysis.presence.away`)."""
     settling_s: float | None
-    """Last time that any edge was off, 0 when none was; None when one is at the end, when no robots with an
-    edge can follow then, or nothing is known. An edge whose length is not known for a while was off all the
-    while if it was before, or is after."""
+    """Last time (s) that any edge was off, 0 when none was, or there is none; None when one is at the end,
+    when no robot (with an edge, if there is one) can follow then, or nothing is known. An edge whose length
+    is not known for a while was off all the while if it was before, or is after."""
     changes: tuple[Settled, ...]
     """Of mission, within the drive."""
     mission_version: int
@@ -184,7 +184,8 @@ def analyse(recording: Recording, geometry: Geometry) -> Analysis:
     off: Flags = counts & (np.abs(distances - wanted) > SETTLED * wanted)
     maybe_off = follow & kept_through(off, hidden)
     lost = bool(wish.whole[-1].any()) and not counts[-1].any()  # of nobody's edges one can say that they hold
-    bare = not len(edges) and bool(np.isfinite(wish.places).any())  # as of one robot: nothing can be off
+    # As of one robot: nothing can be off, but somebody must be there to say so of.
+    bare = not len(edges) and bool((np.isfinite(wish.places[-1]).all(axis=-1) & ~gone[-1]).any())
     settling_s = _last_off(grid, maybe_off) if bare or (counts.any() and not lost) else None
     end_s = float(grid[-1])
     changes = [change for change in wish.changes if change.t_s <= end_s]

@@ -154,13 +154,13 @@ class SweepFolder:
         """Takes the rows that are there; a last one that was cut off by a crash is forgotten."""
         header = self._header()
         content = self._results.read_bytes() if self._results.exists() else b""
-        whole = content.rfind(b"\n") + 1
-        if whole == 0 and _line(header).startswith(content):
+        if _line(header).startswith(content):
             replace_file(self._results, _line(header))
             return
-        if 0 < whole < len(content):
+        whole = content.rfind(b"\n") + 1 or len(content)
+        if whole != len(content):
             os.truncate(self._results, whole)
-        text = content[: whole or None].decode("utf-8", errors="replace")
+        text = content[:whole].decode("utf-8", errors="replace")
         for number, cells in enumerate(csv.reader(io.StringIO(text, newline="")), 1):
             if number == 1 and cells == header:
                 continue

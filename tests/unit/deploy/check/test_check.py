@@ -544,6 +544,11 @@ def test_a_description_names_what_matters():
         assert words in text, text
 
 
+def test_of_a_formation_that_starts_as_it_is_meant_to_be_it_says_so():
+    text = describe(fleet(OFFSETS, trajectory=TrajectorySection()))
+    assert "settling: edges are within 5% at the start" in text, text
+
+
 def test_the_bound_of_a_description_is_that_of_the_energy_at_the_start():
     """Two robots at rest on a line: E(0) by hand."""
     given = fleet(((-0.35, 0.0), (0.15, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0)), TrajectorySection())

@@ -42,3 +42,9 @@ def test_a_robot_without_edges_that_is_not_at_its_place_has_not_settled() -> Non
     row = execute(plan, 0)
     assert (row.safe, row.settled) == (True, False)
     assert "from its place" in row.reason
+
+
+def test_a_robot_without_edges_whose_agent_is_dead_has_not_settled() -> None:
+    killed = '[[faults.rule]]\nkill = "agent"\nrobot = 9\nat = 1.0\n'
+    row = execute(make_plan(Question("alone", ALONE + killed, None, (), (), 1, None)), 0)
+    assert (row.safe, row.settled) == (True, False)
