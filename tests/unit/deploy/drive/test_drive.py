@@ -14,6 +14,8 @@ from typing import Any, cast
 import pytest
 
 from agent.common.time import NS_PER_S
+from agent.control.hand import Pose
+from agent.fleet.fault_rules import Rule
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
@@ -28,6 +30,7 @@ from deploy.drive.drive import FRESH_NS, SHOW_FIRST_NS, SHOW_PERIOD_NS, STOOD_NS
 from deploy.drive.live_view import Lines
 from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
 from deploy.drive.timing import Timing
+from deploy.faults.process_actions import Action
 from deploy.orders.operator import Operator
 from deploy.recording.recorder import RecordingError
 from deploy.session.session import valid
@@ -166,7 +169,7 @@ def driven(robots: Robots, **options: Any) -> tuple[Drive, str]:
     options.setdefault("timing", QUICK)
     stream, record = options.pop("stream", StringIO()), options.pop("record", unrecorded)
     drive = Drive(
-        *(fleet, Attached(fleet), cast(Bus, robots), record),
+        *(fleet, options.pop("processes", None) or Attached(fleet), cast(Bus, robots), record),
         *(Lines(stream, quiet=True, period_s=1.0), interrupt),
         **options,
     )
@@ -458,6 +461,49 @@ def test_a_fleet_is_shown_as_soon_as_it_can_be_heard_to_drive(epoch_ns: int | No
     state: Any = SimpleNamespace(epoch_ns=None if epoch_ns is None else now_ns + epoch_ns)
     drive._fleet_state = state
     assert drive._next_show_ns(now_ns) - now_ns == due_ns
+
+
+class ByRules(Attached):
+    """Robots of whose processes rules may dispose: notes what is done to them, and when."""
+
+    def __init__(self, fleet: Fleet, now_ns: Callable[[], int]) -> None:
+        super().__init__(fleet)
+        self.done: list[tuple[str, int]] = []
+        self._now_ns = now_ns
+
+    def carry_out(self, action: Action, pose: Pose | None) -> bool:
+        assert pose is not None
+        self.done.append((action.what, self._now_ns()))
+        return True
+
+
+def test_what_rules_do_is_done_at_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a clock that only sleeping moves: how late a busy machine wakes a process up is not the drive's."""
+    now_ns = [time.time_ns()]
+
+    def sleep(time_s: float) -> None:
+        now_ns[0] += max(1_000, round(time_s * S))
+
+    clock = SimpleNamespace(now_ns=lambda: now_ns[0])
+    monkeypatch.setattr("deploy.drive.fleet_state.RealClock", lambda: clock)
+    of_drive = SimpleNamespace(sleep=sleep, time_ns=clock.now_ns, monotonic=lambda: now_ns[0] / S)
+    monkeypatch.setattr("deploy.drive.drive.time", of_drive)
+    rules = (
+        Rule(name="crash", robot=2, kill="agent", at=0.513, duration=0.0171),
+        Rule(name="again", robot=1, restart="plant", at=0.61),
+    )
+    fleet = replace(FLEET, faults=replace(FLEET.faults, rules=rules))
+    processes = ByRules(fleet, clock.now_ns)
+    drive, said = driven(Robots("ready"), fleet=fleet, processes=processes, duration_s=0.9)
+    assert drive.reasons == []
+    assert "0.5 s: rule 'crash' killed robot 2's agent" in said
+    epoch_ns = drive.end_ns - 9 * S // 10
+    late_us = [
+        (what, (at_ns - epoch_ns) // 1_000 - due_us)
+        for (what, at_ns), due_us in zip(processes.done, (513_000, 530_100, 610_000, 610_000), strict=True)
+    ]
+    assert [what for what, _ in late_us] == ["kill", "start", "kill", "start"]
+    assert all(0 <= late < 5 for _, late in late_us), late_us
 
 
 def test_after_a_stand_of_the_command_what_waited_for_it_is_not_shown_as_what_is() -> None:
