@@ -14,9 +14,10 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import said_doubt
+from agent.control.peers.forecast import Course
 from agent.control.peers.peer import Peer
 from agent.control.peers.peers import Peers
-from agent.formation.reference import Reference
+from agent.formation.reference import Instant, Reference
 from agent.messages.types import HandState
 
 PACE: Final = 0.45
@@ -75,7 +76,7 @@ class Caution:
         """
         if now_ns >= self._until_ns:
             self.speed = inf
-        own: HandState | None = None
+        own: Course | None = None
         way: list[_Point | None] = []
         for peer in near:
             message = peer.message
@@ -89,7 +90,9 @@ class Caution:
                 continue
             late_ns = peer.lateness.usual_ns
             speed = PACE * (NS_PER_S / late_ns) ** 2
-            own = own or HandState.placed(self._robot, 0, now_ns, True, 0, (here.x, here.y, here.vx, here.vy))
+            if own is None:
+                state = here.x, here.y, here.vx, here.vy
+                own = self._peers.forecast.course(HandState.placed(self._robot, 0, now_ns, True, 0, state))
             meets = self._meet(own, way, peer, message, now_ns, late_ns)
             if meets or hypot(message.correction_x, message.correction_y) > TURNED:
                 peer.slowly, peer.slowly_until_ns = speed, now_ns + late_ns
@@ -98,7 +101,7 @@ class Caution:
 
     def _meet(
         self,
-        own: HandState,
+        own: Course,
         way: list[_Point | None],
         peer: Peer,
         message: HandState,
@@ -112,11 +115,12 @@ class Caution:
         """
         keep = self._keep_m + said_doubt(late_ns / NS_PER_S) + MORE_M
         then_ns, until_ns = now_ns, now_ns + late_ns + _AHEAD_NS
-        ahead_ns, k = peer.clock.used_ns, 0
+        theirs, ahead_ns, k = self._peers.forecast.course(message), peer.clock.used_ns, 0
         while then_ns < until_ns:
+            at = self._reference.instant(then_ns)
             if k == len(way):
-                way.append(self._at(own, then_ns, 0))
-            mine, other = way[k], self._at(message, then_ns, ahead_ns)
+                way.append(self._on(own, then_ns, 0, at))
+            mine, other = way[k], self._on(theirs, then_ns, ahead_ns, at)
             if mine is None or other is None:
                 return False
             apart = hypot(mine.place_x - other.place_x, mine.place_y - other.place_y)
@@ -126,12 +130,14 @@ class Caution:
             k += 1
         return False
 
-    def _at(self, message: HandState, then_ns: int, ahead_ns: int) -> _Point | None:
-        """Where one whose clock is ahead by so much would be at a time of the own clock; None for one without
-        a place."""
-        found = self._peers.forecast.following(message, then_ns + ahead_ns)
-        at = self._reference.instant(then_ns)
-        if found is None or message.robot not in at.offsets:
+    def _on(self, course: Course, then_ns: int, ahead_ns: int, at: Instant) -> _Point | None:
+        """Where one whose clock is ahead by so much would be at a time of the own clock, at which the desired
+        motion is `at`; None for one without a place."""
+        robot = course.message.robot
+        by_its_clock = self._reference.instant(then_ns + ahead_ns) if ahead_ns else at
+        if robot not in at.offsets or robot not in by_its_clock.offsets:
             return None
-        (x, y), place = found.position, at.motion(message.robot)
-        return _Point(x, y, place[0], place[1])
+        found = self._peers.forecast.on(course, then_ns + ahead_ns, by_its_clock)
+        x, y = found.position
+        place_x, place_y, _, _, _, _ = at.motion(robot)
+        return _Point(x, y, place_x, place_y)

@@ -82,15 +82,16 @@ class Column:
 
     Attributes:
         append, extend: those of `array.array`, at its speed.
+        append_bytes: extends it by numbers as they are in memory.
     """
 
-    __slots__ = ("_new", "_parts", "_store", "append", "extend")
+    __slots__ = ("_new", "_parts", "_store", "append", "append_bytes", "extend")
 
     def __init__(self, code: Code, store: Store) -> None:
         self._new: array[Any] = array(code)
         self._store = store
         self._parts: list[tuple[int, int]] = []
-        self.append, self.extend = self._new.append, self._new.extend
+        self.append, self.extend, self.append_bytes = self._new.append, self._new.extend, self._new.frombytes
 
     def __len__(self) -> int:
         return sum(size for _, size in self._parts) // self._new.itemsize + len(self._new)
@@ -122,7 +123,7 @@ class Records:
         self._column = column
 
     def append(self, record: Iterable[Any]) -> None:
-        self._column.extend(msgpack.packb(record))
+        self._column.append_bytes(msgpack.packb(record))
 
     def whole(self) -> list[Any]:
         """All of them, with tuples for lists."""

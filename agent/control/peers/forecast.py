@@ -36,6 +36,7 @@ from agent.control.peers.rolling import (
     rolled,
 )
 from agent.formation.reference import Instant, Reference
+from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
 
 DRIVEN_MAX: Final = 1.0
@@ -63,6 +64,23 @@ class _Step:
 
     def __init__(self, of: Transition) -> None:
         self.of: Final[Transition] = of
+
+
+class Course:
+    """Where the way of a robot begins: at a message, and what its desired motion was then.
+
+    Attributes:
+        time_ns: of the message, or the epoch if that is later.
+        motion: the desired motion at that time, if it had a place (`had_place`).
+    """
+
+    __slots__ = "had_place", "message", "motion", "time_ns"
+
+    def __init__(self, message: HandState, time_ns: int, motion: Sample, *, had_place: bool = True) -> None:
+        self.message: Final = message
+        self.time_ns: Final = time_ns
+        self.motion: Final[Sample] = motion  # without None in it, in C no object for each float
+        self.had_place: Final = had_place
 
 
 class Forecast:
@@ -114,13 +132,35 @@ class Forecast:
             return None
         then = at.motion(robot)
         since_ns = message.time_ns if message.time_ns > self.epoch_ns else self.epoch_ns
-        if since_ns > then_ns:
-            since_ns = then_ns
+        if since_ns >= then_ns:
+            return self._carried(message, then, then, 0, slowly)
         before = instants(since_ns)
-        # One may have a place only since its message.
         since = before.motion(robot) if robot in before.offsets else then
-        age, decay = (then_ns - since_ns) * 1e-9, self.decay
-        step = self._step(then_ns - since_ns, decay)
+        return self._carried(message, since, then, then_ns - since_ns, slowly)
+
+    def course(self, message: HandState) -> Course:
+        """Where the way of a robot begins that is asked for at many times, by `on`."""
+        since_ns = max(message.time_ns, self.epoch_ns)
+        at = self._instants(since_ns)
+        if message.robot not in at.offsets:
+            return Course(message, since_ns, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), had_place=False)
+        return Course(message, since_ns, at.motion(message.robot))
+
+    def on(self, course: Course, then_ns: int, at: Instant) -> Prediction:
+        """As `following`, of one that has a place in `at`, the desired motion of all at `then_ns`."""
+        then = at.motion(course.message.robot)
+        if course.time_ns >= then_ns:
+            return self._carried(course.message, then, then, 0, inf)
+        since = course.motion if course.had_place else then
+        return self._carried(course.message, since, then, then_ns - course.time_ns, inf)
+
+    def _carried(
+        self, message: HandState, since: Sample, then: Sample, age_ns: int, slowly: float
+    ) -> Prediction:
+        """As `following`, of one whose desired motion is `then`, and was `since` as long ago. One that has a
+        place only since its message is taken to have come to it as it is there now: since is then."""
+        age, decay = age_ns * 1e-9, self.decay
+        step = self._step(age_ns, decay)
         found = following(
             message, then, since, age, self._c1, self._c2, decay, self.most, self.speeding, step
         )
