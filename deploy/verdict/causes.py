@@ -64,8 +64,9 @@ class Causes:
     def _own(self, index: int) -> list[str]:
         """What keeps the robot itself.
 
-        The shape in which it is at rest (`deploy.analysis.balance`), what its agent said, from whom or what
-        the safety filter kept it, who stands before it, and how fast its place is.
+        The shape in which it is at rest (`deploy.analysis.balance`), for how long its agent has been silent,
+        what that said, from whom or what the safety filter kept it, who stands before it, and how fast its
+        place is.
         """
         recording, a, t = self._recording, self._a, self._t
         fleet, robot = recording.fleet, a.ids[index]
@@ -74,6 +75,9 @@ class Causes:
             for shape in self._shapes
             if index in shape
         ]
+        silent_s = self._silent_s(robot)
+        if silent_s > SILENT_S:
+            found.append(f"its agent has said nothing for {silent_s:.0f} s")
         told = _last_words(recording.robots[robot].status, t)
         if told:
             named = _LAST_NAME.search(told)
@@ -150,10 +154,14 @@ class Causes:
         kind, _, number = name.partition(" ")
         if kind != "robot" or not number.isdigit() or int(number) not in self._recording.robots:
             return ""
-        times = self._recording.robots[int(number)].status.t
-        heard = times[times <= self._t]
-        silent_s = self._t - float(heard[-1]) if len(heard) else self._t
+        silent_s = self._silent_s(int(number))
         return f" (silent for {silent_s:.0f} s)" if silent_s > SILENT_S else ""
+
+    def _silent_s(self, robot: int) -> float:
+        """Since when the robot's agent has said nothing, s; since the drive began if it never did."""
+        times = self._recording.robots[robot].status.t
+        heard = times[times <= self._t]
+        return self._t - max(float(heard[-1]), 0.0) if len(heard) else self._t
 
 
 def _last_words(status: StatusTable, t: float) -> str:

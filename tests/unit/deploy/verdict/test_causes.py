@@ -121,6 +121,14 @@ def test_how_long_whom_it_names_is_silent_is_added() -> None:
     assert causes(run(*FAR, reasons=reasons, silent=3), 1) == ["held up by robot 3 (silent for 4 s)"]
 
 
+def test_an_agent_that_is_silent_itself() -> None:
+    """As one that is frozen: before what its neighbours may have to do with it."""
+    assert causes(run(*FAR, silent=1), 1) == ["its agent has said nothing for 4 s"]
+    ways = standing(0, -0.3), standing(1, -0.3), standing(2, 0)
+    said = "held back by robot 2 (its agent has said nothing for 4 s)"
+    assert causes(run(*ways, silent=2), 1) == [said]
+
+
 def test_a_robot_that_stands_before_it_and_how_long_that_is_silent() -> None:
     """Robot 3 stands where robot 1 has to go, they share no edge; robot 2, behind, is as near."""
     ways = standing(0, -3), standing(0, -3.3), standing(0, -2.6)
