@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from operator import itemgetter
+from struct import Struct
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from deploy.recording.link_table import EXACT, Clock, LinkTable, true_ns
 from deploy.recording.tables import NEIGHBOUR, StatusTable, Table, columns
 
 _INTEGER_MAX: Final = 2**62
+_PAIR: Final = Struct("2d").pack
 
 
 class Rows:
@@ -30,6 +32,8 @@ class Rows:
         self.times, self._values = store.column("q"), store.column("d")
         self._sequences = store.column("q")
         self._numbers = itemgetter(*map(kind._fields.index, self.names))
+        # Packed and then appended as bytes: an array takes numbers one by one.
+        self._pack = Struct(f"{len(self.names)}d").pack
 
     def is_of(self, message: Any) -> bool:
         """Whether it is a message of this table."""
@@ -39,7 +43,7 @@ class Rows:
     def append(self, message: Any) -> None:
         self._sequences.append(message.sequence)
         self.times.append(message.time_ns)
-        self._values.extend(self._numbers(message))
+        self._values.append_bytes(self._pack(*self._numbers(message)))
 
     def table(self, epoch_ns: int, clock: Clock) -> Table:
         times, sequences = self.times.whole(), self._sequences.whole()
@@ -61,7 +65,7 @@ class HandRows(Rows):
         super().append(message)
         for pair in message.multipliers:
             self._multiplier_times.append(message.time_ns)
-            self._multipliers.extend(pair)
+            self._multipliers.append_bytes(_PAIR(*pair))
 
     def multipliers(self, epoch_ns: int, clock: Clock) -> Table:
         times = true_ns(self._multiplier_times.whole(), clock, epoch_ns)
