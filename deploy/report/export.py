@@ -60,10 +60,6 @@ _WHAT: Final = {
 _COUNTS: Final = (*MESSAGES, "overruns")
 
 
-class ExportError(RecordingError):
-    """An export that cannot be made; the text is one line."""
-
-
 def export(
     folder: str | PathLike[str],
     format: str,
@@ -82,13 +78,12 @@ def export(
         warn: told what of the recording could not be read, a line each.
 
     Raises:
-        ExportError: unknown format, no pyarrow, or not writable; one line. It is a `RecordingError`.
+        RecordingError: unknown format, no pyarrow, not writable, or the run cannot be read; one line.
         MissingPackageError: no rosbags.
-        RecordingError: the run cannot be read.
         FleetError: the run's fleet file is not valid.
     """
     if format not in FORMATS:
-        raise ExportError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
+        raise RecordingError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
     write = _bag_writer() if format == BAG else _tables_writer(format)
     recording = read_run(folder)
     for warning in recording.warnings:
@@ -98,7 +93,7 @@ def export(
     try:
         return write(result, target)
     except OSError as error:
-        raise ExportError(f"cannot write the export to {target}: {error.strerror or error}") from error
+        raise RecordingError(f"cannot write the export to {target}: {error.strerror or error}") from error
 
 
 def tabulate(result: RunResult) -> dict[str, Columns]:
@@ -257,7 +252,7 @@ def _parquet_writer() -> Callable[[Path, Columns], None]:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise ExportError(
+        raise RecordingError(
             "Parquet needs pyarrow, which is not installed: pip install 'handfast[operator]'"
         ) from None
 

@@ -15,8 +15,6 @@ from deploy.inventory.running import handled
 if TYPE_CHECKING:
     from deploy.drive.preflight import Found
 
-_CHANGES = ("overrides", "law", "faults", "duration", "seed", "orders")
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast preflight`` takes."""
@@ -99,19 +97,9 @@ def _on_hosts(options: argparse.Namespace, fleet: Fleet, interrupt: Interrupt) -
         InputError: the fleet is to be another one than those have read; nobody knows where a host is, or this
             operator may not hear them.
     """
+    from deploy.commands.local.preflight_parameters import refuse_changes
     from deploy.hosts.preflight import HostsPreflight
     from deploy.inventory.hosts import located
 
     refuse_changes(options)
     return HostsPreflight(located(fleet), str(fleet_path(options.fleet)), interrupt).run()
-
-
-def refuse_changes(options: argparse.Namespace) -> None:
-    """`InputError` where a fleet on hosts is to be another one than its robots have read."""
-    for name in _CHANGES:
-        if getattr(options, name):
-            option = "--set" if name == "overrides" else f"--{name}"
-            raise InputError(
-                f"preflight: {option} changes the fleet file, which the bridges on its hosts have read "
-                f"already: change the file and say `handfast up {options.fleet}`"
-            )

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 LOOK_S: Final = 0.1
 LEFT_ALONE: Final = "no vehicle that is reached by MAVLink: left alone"
 YES: Final = "yes"
+_CHANGES: Final = ("overrides", "law", "faults", "duration", "seed", "orders")
 
 
 def set_parameters(options: argparse.Namespace, interrupt: Interrupt) -> int:
@@ -178,7 +179,6 @@ def _way(options: argparse.Namespace, fleet: Fleet, interrupt: Interrupt) -> Car
         from bridges.mavlink.bridge.parameter_setup import carry_out
 
         return lambda tasks: carry_out(fleet, tasks, RealClock(), lambda: interrupt.count > 0)
-    from deploy.commands.local.preflight import refuse_changes
     from deploy.hosts.parameters import carry_out_on_hosts, refusal
     from deploy.inventory.hosts import located
 
@@ -188,6 +188,17 @@ def _way(options: argparse.Namespace, fleet: Fleet, interrupt: Interrupt) -> Car
         raise InputError(f"preflight: {why}")
     print("their bridges end while vehicles are looked at and set, and start again", file=sys.stderr)
     return lambda tasks: carry_out_on_hosts(placed, tasks, file, interrupt)
+
+
+def refuse_changes(options: argparse.Namespace) -> None:
+    """`InputError` where a fleet on hosts is to be another one than its robots have read."""
+    for name in _CHANGES:
+        if getattr(options, name):
+            option = "--set" if name == "overrides" else f"--{name}"
+            raise InputError(
+                f"preflight: {option} changes the fleet file, which the bridges on its hosts have read "
+                f"already: change the file and say `handfast up {options.fleet}`"
+            )
 
 
 def _is_terminal() -> bool:

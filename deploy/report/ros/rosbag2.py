@@ -21,7 +21,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from agent.runtime.version import handfast_version
-from deploy.report.export import ExportError
+from deploy.recording.recorder import RecordingError
 from deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
 from deploy.verdict.run_result import RunResult
 
@@ -61,18 +61,18 @@ def write_bag(result: RunResult, bag: Path) -> None:
     Whatever happens, there is a whole bag or the one from before.
 
     Raises:
-        ExportError: there is nothing to write, or `bag` holds something else; one line.
+        RecordingError: there is nothing to write, or `bag` holds something else; one line.
         OSError: it cannot be written.
     """
     recording = result.recording
     if recording.epoch_ns is None:
-        raise ExportError("there is no bag of this run: it was never begun, so nobody knows its time")
+        raise RecordingError("there is no bag of this run: it was never begun, so nobody knows its time")
     if not any(len(robot.body) for robot in recording.robots.values()):
-        raise ExportError("there is no bag of this run: it has no pose of any robot")
+        raise RecordingError("there is no bag of this run: it has no pose of any robot")
     _refuse_other(bag)
     found = streams(result)
     if any(stream.times_ns[0] < 0 or stream.times_ns[-1] >= _END_NS for stream in found):
-        raise ExportError("there is no bag of this run: ROS 2 knows no times before 1970 or after 2038")
+        raise RecordingError("there is no bag of this run: ROS 2 knows no times before 1970 or after 2038")
     about = {
         "handfast": handfast_version(),
         "fleet": recording.fleet.fleet.name,
@@ -111,7 +111,7 @@ def _refuse_other(bag: Path) -> None:
         return
     ours = {METADATA_FILE, f"{bag.name}.mcap"}
     if bag.is_symlink() or not bag.is_dir() or {each.name for each in bag.iterdir()} - ours:
-        raise ExportError(
+        raise RecordingError(
             f"{bag} is not a bag of handfast alone: name another folder with --out, or remove it"
         )
 

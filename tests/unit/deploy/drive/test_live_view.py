@@ -15,7 +15,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
 from deploy.analysis.silent_bodies import SilentBody
 from deploy.console.data_files import FLEETS
-from deploy.drive.live_view import Lines, faults_line, make_view, packed, summary
+from deploy.drive.live_view import Lines, make_view
+from deploy.drive.picture_wording import faults_line, summary
 from deploy.drive.watch import Picture, RobotPicture, Watch
 from tests.screen import screen_lines
 
@@ -465,13 +466,3 @@ def test_a_drive_of_which_nothing_was_shown_leaves_no_empty_line(monkeypatch: py
         view.say("Not started: a reason.")
     stream.write("FAILED\n")
     assert screen_lines(stream.getvalue(), 80) == ["Not started: a reason.", "FAILED", ""]
-
-
-def test_parts_of_a_summary_are_broken_where_they_end() -> None:
-    assert packed(["worst edge 0.1 m", "closest 0.8 m", "all running"], 33) == [
-        "worst edge 0.1 m, closest 0.8 m,",
-        "all running",
-    ]
-    assert packed(["worst edge 0.1 m", "closest 0.8 m"], 31) == ["worst edge 0.1 m,", "closest 0.8 m"]
-    assert packed(["longer than it is wide", "b"], 10) == ["longer than it is wide,", "b"]
-    assert packed([], 10) == []

@@ -16,7 +16,7 @@ from agent.messages.codec import encode
 from deploy.cli import main
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder, RecordingError
-from deploy.report.export import ExportError, export, tabulate
+from deploy.report.export import export, tabulate
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages, standing, triangle
@@ -131,16 +131,18 @@ def test_what_of_a_damaged_recording_is_missing_is_said(
 
 
 def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ExportError, match=r"^unknown format 'xlsx'; there are csv, parquet, json, rosbag2$"):
+    with pytest.raises(
+        RecordingError, match=r"^unknown format 'xlsx'; there are csv, parquet, json, rosbag2$"
+    ):
         export(run, "xlsx")
     (run / "empty").mkdir()
     with pytest.raises(RecordingError, match=r"empty holds no run\.mcap"):
         export(run / "empty", "csv")
     (run / "file").touch()
-    with pytest.raises(ExportError, match=rf"^cannot write the export to {run / 'file'}: File exists$"):
+    with pytest.raises(RecordingError, match=rf"^cannot write the export to {run / 'file'}: File exists$"):
         export(run, "csv", run / "file")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ExportError, match="Parquet needs pyarrow, which is not installed"):
+    with pytest.raises(RecordingError, match="Parquet needs pyarrow, which is not installed"):
         export(run, "parquet")
 
 

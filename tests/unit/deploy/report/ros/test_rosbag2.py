@@ -18,8 +18,8 @@ from agent.messages.codec import encode
 from agent.messages.types import Mission, PlantState
 from deploy import cli
 from deploy.recording.mcap_reader import read_run
-from deploy.recording.recorder import Recorder
-from deploy.report.export import ExportError, export
+from deploy.recording.recorder import Recorder, RecordingError
+from deploy.report.export import export
 from deploy.report.ros import rosbag2
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
@@ -171,7 +171,7 @@ def test_an_export_that_fails_leaves_the_earlier_one(
         write(*args)
 
     monkeypatch.setattr(rosbag2.Writer, "write", failing)
-    expected = ExportError if isinstance(error, OSError) else KeyboardInterrupt
+    expected = RecordingError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected):
         export(run, "rosbag2")
     assert content(run / "export") == before
@@ -194,7 +194,7 @@ def test_a_bag_that_cannot_take_its_place_leaves_the_earlier_one(
         return rename(path, target)
 
     monkeypatch.setattr(Path, "rename", failing)
-    with pytest.raises(ExportError, match=r"^cannot write the export to .*/export: Input/output error$"):
+    with pytest.raises(RecordingError, match=r"^cannot write the export to .*/export: Input/output error$"):
         export(run, "rosbag2")
     assert content(run / "export") == before
 
@@ -203,16 +203,18 @@ def test_what_is_not_a_bag_of_ours_is_not_replaced(run: Path, tmp_path: Path) ->
     bag = tmp_path / "out" / "rosbag2"
     bag.mkdir(parents=True)
     (bag / "notes.txt").write_text("mine")
-    with pytest.raises(ExportError, match=r"out/rosbag2 is not a bag of handfast alone: name another folder"):
+    with pytest.raises(
+        RecordingError, match=r"out/rosbag2 is not a bag of handfast alone: name another folder"
+    ):
         export(run, "rosbag2", tmp_path / "out")
     assert content(tmp_path / "out") == {"rosbag2/notes.txt": b"mine"}
     elsewhere = tmp_path / "link"
     elsewhere.mkdir()
     (elsewhere / "rosbag2").symlink_to(export(run, "rosbag2")[0])
-    with pytest.raises(ExportError, match="is not a bag of handfast alone"):
+    with pytest.raises(RecordingError, match="is not a bag of handfast alone"):
         export(run, "rosbag2", elsewhere)
     (run / "file").touch()
-    with pytest.raises(ExportError, match=rf"^cannot write the export to {run / 'file'}: "):
+    with pytest.raises(RecordingError, match=rf"^cannot write the export to {run / 'file'}: "):
         export(run, "rosbag2", run / "file")
 
 
