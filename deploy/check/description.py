@@ -22,7 +22,7 @@ from agent.links.fault_plan import FaultPlan
 from deploy.analysis.couplings import coupling_of, law_of
 from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
-from deploy.check.load.capacity import describe_cost
+from deploy.check.capacity import describe_cost
 from deploy.check.load.network import describe_links, describe_topology
 from deploy.check.load.radio import describe_radio
 from deploy.check.safety import parting

@@ -17,7 +17,7 @@ from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import PlantState
 from agent.runtime.realtime_granted import ONLINE, cpu_list
-from deploy.check.load.capacity import Machine, is_looked_at, is_refused, overload
+from deploy.check.capacity import Machine, is_looked_at, is_refused, overload
 
 WINDOWS: Final = 6
 ROUNDS: Final = 20
@@ -26,7 +26,7 @@ LOOKS: Final = 3
 PAUSE_S: Final = 1.0
 """So many looks are taken at most, with a pause between them."""
 ROUND_S: Final = 1.08e-3
-"""Processor time of one round of `_work` where the costs of `deploy.check.load.capacity` were measured."""
+"""Processor time of one round of `_work` where the costs of `deploy.check.capacity` were measured."""
 BUSY: Final = (
     "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nos.write(1, b'.')\n"
     "while os.getppid() == int(sys.argv[2]):\n for _ in range(100_000): pass"

@@ -20,7 +20,7 @@ import numpy as np
 
 from agent.fleet.loading import load_fleet
 from deploy.analysis.lattice import lattice
-from deploy.check.load.capacity import cost_of
+from deploy.check.capacity import cost_of
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, METRICS_FILE
@@ -46,7 +46,7 @@ class Found:
         alive_s, drive_s: from the command until all processes live, until the fleet drives.
         cpu: by role, processor time in a second of the drive: of one agent and one body, of all routers
             together, and of `run` itself as "run".
-        model: the same, as `deploy.check.load.capacity` has it for a processor like its own.
+        model: the same, as `deploy.check.capacity` has it for a processor like its own.
         killed: processes that did not end when asked.
         status: exit status of the command; below 0 when it had to be killed.
         metrics: its metrics.json; {} without.

@@ -30,7 +30,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.analysis.lattice import lattice
-from deploy.check.load.capacity import FULL, RATES_HZ, carried, cost_of, settings, slower, used
+from deploy.check.capacity import FULL, RATES_HZ, carried, cost_of, settings, slower, used
 from deploy.console.data_files import FLEETS
 from deploy.processes.machine import measured
 from deploy.recording.recording import Recording

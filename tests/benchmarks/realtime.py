@@ -3,7 +3,7 @@
 `handfast run delta` at several rates, beside ``stress-ng --cpu 1`` (without it a Python that counts on end):
 one drive without real time and one with it in turn, of at most `DRIVE_MINUTES` each, as often as makes
 `--minutes` of either, and as often with nothing beside it. Robots do not lower their rate. A rate that this
-machine does not carry (`deploy.check.load.capacity`) is not driven in real time: that would leave too
+machine does not carry (`deploy.check.capacity`) is not driven in real time: that would leave too
 little to the command that records the drive.
 """
 

@@ -1,1 +1,1 @@
-"""What a fleet takes of its networks, its radios and the machine that it runs on, beside what they have."""
+"""What a fleet sends: over its networks and its radios, beside what they have, and in how many processes."""

@@ -34,7 +34,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _of_this_machine(fleet: Fleet) -> Sequence[Finding]:
     """Whether this machine carries a fleet that `handfast run` would have on it, and has the cores for it."""
-    from deploy.check.load.capacity import check_capacity, is_looked_at
+    from deploy.check.capacity import check_capacity, is_looked_at
     from deploy.check.realtime import check_cores
 
     if any(robot.host for robot in fleet.robots):

@@ -90,7 +90,7 @@ def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
     Raises:
         InputError: these are more, and the options do not say to drive all the same.
     """
-    from deploy.check.load.capacity import describe_capacity, is_looked_at, overload
+    from deploy.check.capacity import describe_capacity, is_looked_at, overload
 
     if not is_looked_at(fleet):
         return

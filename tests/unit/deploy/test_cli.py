@@ -12,8 +12,8 @@ from typing import IO, Final
 import pytest
 
 from agent.fleet.loading import load_fleet
+from deploy.check.capacity import Machine
 from deploy.check.check import check
-from deploy.check.load.capacity import Machine
 from deploy.cli import COMMANDS, GROUPS, _parser, main
 from deploy.console.data_files import FLEETS
 

@@ -16,7 +16,7 @@ from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.process_section import ProcessSection
 from agent.formation.geometry import resolved
 from deploy.analysis.lattice import lattice
-from deploy.check.load.capacity import FULL, Machine, cost_of, used
+from deploy.check.capacity import FULL, Machine, cost_of, used
 from deploy.console.data_files import FLEETS
 from deploy.processes import machine
 from deploy.processes.machine import LOOKS, ROUND_S, WINDOWS, measured, measured_for, overload_here

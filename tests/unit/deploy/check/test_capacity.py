@@ -11,9 +11,8 @@ from agent.fleet.model import Fleet
 from agent.fleet.process_section import ProcessSection
 from agent.formation.geometry import resolved
 from deploy.analysis.lattice import lattice
-from deploy.check.check import check
-from deploy.check.load import capacity
-from deploy.check.load.capacity import (
+from deploy.check import capacity
+from deploy.check.capacity import (
     AGENT_COMPILED,
     FULL,
     ROBOTS_MIN,
@@ -31,6 +30,7 @@ from deploy.check.load.capacity import (
     that_fits,
     used,
 )
+from deploy.check.check import check
 from deploy.check.load.network import load_of
 from deploy.console.data_files import FLEETS
 
