@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import weakref
 from collections.abc import Iterator
 
 import pytest
@@ -45,3 +46,25 @@ def test_what_others_have_frozen_stays_so() -> None:
     with seldom_looked_for():
         pass
     assert gc.get_freeze_count() > 0
+
+
+class _Node:
+    """One of those that a drive is made of: they know each other."""
+
+    def __init__(self) -> None:
+        self.other = self
+
+
+def test_what_a_drive_was_made_of_is_gone_when_the_next_begins() -> None:
+    """Whoever drives thousands of runs does not grow with each."""
+    gc.disable()
+    try:
+        with seldom_looked_for():
+            node = _Node()
+            left = weakref.ref(node)
+        del node
+        assert left() is not None, "nobody has looked"
+        with seldom_looked_for():
+            assert left() is None
+    finally:
+        gc.enable()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import pytest
 
 from deploy.sweep.claim import make_claim
@@ -48,3 +50,13 @@ def test_a_robot_without_edges_whose_agent_is_dead_has_not_settled() -> None:
     killed = '[[faults.rule]]\nkill = "agent"\nrobot = 9\nat = 1.0\n'
     row = execute(make_plan(Question("alone", ALONE + killed, None, (), (), 1, None)), 0)
     assert (row.safe, row.settled) == (True, False)
+
+
+def test_a_process_that_drives_many_runs_does_not_grow_with_each() -> None:
+    plan = make_plan(Question("alone", ALONE, None, ("fleet.duration_s=0.5",), (), 8, None))
+    objects = []
+    for run in range(plan.runs):
+        execute(plan, run)
+        objects.append(len(gc.get_objects()))
+    # The first may load modules; of the last each what it was made of is there until the next one begins.
+    assert objects[-1] - objects[3] < 1000, objects
