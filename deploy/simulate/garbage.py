@@ -23,7 +23,7 @@ def seldom_looked_for() -> Iterator[None]:
     freezes = gc.get_freeze_count() == 0  # what others froze stays so
     if freezes:
         if _may_be_left:
-            # Else nobody would ever look for it: it is frozen now, and old, among what is not, between drives.
+            # Else nobody would ever look for it: frozen in a drive, and among what is old between two.
             # Processes that drive thousands of runs, as a sweep's, grew by some MB with each.
             gc.collect()
         gc.freeze()

@@ -26,6 +26,7 @@ from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, number, spread
 from tests.benchmarks.other_simulators import Task, measured
 from tests.benchmarks.processes import BenchmarkError, environment, handfast
+from tests.benchmarks.soak import rss_mb
 
 LOOP: Final = 80.0
 """Times real time, of the delta's loop alone."""
@@ -39,6 +40,11 @@ FAULTS: Final = ("faults.delay=0.7s", "faults.loss=25%")
 """The middle of what robustness is studied over: ways are looked for, and predictions reach far."""
 AS_INSTALLED: Final = {"PYTHONDONTWRITEBYTECODE": ""}
 """Of a command: what it imports is compiled once, not each time anew, whatever runs the benchmarks."""
+GROWTH_MB: Final = 0.1
+"""Of a process with each run that it drives: a sweep's workers drive thousands."""
+GROWTH_FIRST: Final = 4
+GROWTH_RUNS: Final = 16
+"""So many runs, of which the first still load modules and fill what is kept."""
 LATTICES: Final = ((25, 10.0), (100, 10.0), (500, 10.0))
 LATTICES_QUICK: Final = ((25, 5.0), (100, 5.0))
 """Robots, and for how long they drive, s."""
@@ -93,6 +99,17 @@ def loop(fleet: Fleet) -> tuple[float, float]:
     begun, cpu = time.perf_counter(), time.process_time()
     Simulation(fleet).run()
     return time.perf_counter() - begun, time.process_time() - cpu
+
+
+def growth() -> Figure:
+    """By how much this process grows with each of many short runs."""
+    fleet = resolved(load_fleet(fleet_path("delta"), ["fleet.duration_s=4"]))
+    sizes = []
+    for _ in range(GROWTH_FIRST + GROWTH_RUNS):
+        loop(fleet)
+        sizes.append(rss_mb(os.getpid()))
+    more_mb = (sizes[-1] - sizes[GROWTH_FIRST - 1]) / GROWTH_RUNS
+    return Figure("a process grows with each run of 4 s by", more_mb, "MB", GROWTH_MB)
 
 
 def task(fleet: Fleet) -> Task:
@@ -160,7 +177,7 @@ def others(ours: float) -> tuple[list[Figure], list[str]]:
 def run(options: Options) -> Result:
     result = Result(delta(3 if options.quick else 7))
     figures, result.details = others(result.figures[-1].value)
-    result.figures += figures
+    result.figures += [*figures, growth()]
     fleet = load_fleet(fleet_path("lattice45"))
     duration_s = 10.0 if options.quick else fleet.fleet.duration_s
     took_s = command("lattice45", "--no-report", "--duration", str(duration_s))

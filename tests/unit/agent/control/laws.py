@@ -81,7 +81,7 @@ class HangsMade(Good):
     Settings = None
 
     def __init__(self, robot: int, fleet: Any, settings: Any) -> None:
-        time.sleep(0.3)
+        time.sleep(30.0)
 
 
 class HangsModes(Law):
@@ -90,7 +90,7 @@ class HangsModes(Law):
 
     @classmethod
     def modes(cls, fleet: Any, settings: Any) -> Any:
-        time.sleep(0.3)
+        time.sleep(30.0)
 
 
 class Cancelled(Law):
