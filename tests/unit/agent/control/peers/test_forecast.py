@@ -57,6 +57,30 @@ def test_its_way_is_made_of_the_steps_of_which_each_prediction_is(x: float, robo
     assert forecast.stood(said, 40 * STEP_S).way == tuple(points)
 
 
+@pytest.mark.parametrize("x", [-6.0, -0.5])
+@pytest.mark.parametrize("since_s", [-0.25, 0.0, 3.0, 19.5], ids=["early", "epoch", "driving", "new place"])
+def test_its_course_is_what_it_is_predicted_by_at_each_time(x: float, since_s: float):
+    """Also of one that gets its place only after its message, and of a time before it."""
+    forecast, reference = scene()
+    fleet = parse_fleet(FLEET, source="here")
+    joins = Mission(
+        2, 0, T0, 60 * S, "", T0 + 20 * S, 2 * S, robots=((1, 0.0, 0.0), (2, 0.0, 2.0), (3, 2.0, 0.0))
+    )
+    reference.take(plan_of(joins, fleet, resolve(fleet)))
+    for robot in (2, 3):
+        said = HandState.placed(robot, 0, T0 + round(since_s * S), True, 0, (x, 1.0, 0.3, -0.2))
+        said = said._replace(constraint_x=0.4, correction_y=-0.3)
+        course = forecast.course(said)
+        for after_s in (-0.5, 0.0, 0.1, 1.0, 3.0):
+            then_ns = said.time_ns + round(after_s * S)
+            expected, instant = forecast.following(said, then_ns), reference.instant(then_ns)
+            assert (expected is not None) == (robot in instant.offsets)
+            if expected is not None:
+                found = forecast.on(course, then_ns, instant)
+                for part in ("position", "velocity", "navigation", "constraint"):
+                    assert getattr(found, part) == getattr(expected, part)
+
+
 def test_a_robot_far_from_its_place_does_not_go_beyond_it():
     """In one step the pull at the start would carry it through."""
     forecast, reference = scene()
