@@ -352,9 +352,25 @@ class Cluster(Generic[T]):
             self._client.sync(self._client._cancel, list(futures), force=True, callback_timeout=within_s)
 
 
+class _NotOfDask(logging.Filter):
+    """Lets through what is not about an exception of Dask's own."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        kind = record.exc_info[0] if record.exc_info else None
+        return kind is None or not kind.__module__.startswith("distributed.")
+
+
+_NOT_OF_DASK: Final = _NotOfDask()
+
+
 @contextmanager
 def _silenced() -> Iterator[None]:
-    """A context in which Dask logs nothing: what matters of it is said as one line."""
+    """A context in which Dask logs nothing: what matters of it is said as one line.
+
+    What asyncio says of tasks that Dask has left with an exception stays unsaid afterwards, too: it comes
+    when they are garbage, which may be at any time.
+    """
+    logging.getLogger("asyncio").addFilter(_NOT_OF_DASK)
     loggers = [
         logging.getLogger(name)
         for name in list(logging.root.manager.loggerDict)

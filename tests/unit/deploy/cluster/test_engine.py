@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import gc
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from distributed.client import FutureCancelledError
+from distributed.client import AllExit, FutureCancelledError
 
 from deploy.cluster import engine
 from deploy.cluster.connection import ClusterError, GivenUp
@@ -316,3 +318,17 @@ def test_who_is_told_to_stop_before_there_is_a_connection_drives_nothing(
     monkeypatch.setattr(engine, "connected", refused)
     with Cluster("tcp://there:1", Numbers(), 9.0, files={}, say=print, go_on=lambda: False) as cluster:
         assert list(cluster.results(range(3), lambda: False)) == []
+
+
+def test_what_dask_leaves_behind_is_not_shown_and_what_others_do_is(caplog: pytest.LogCaptureFixture) -> None:
+    """Tasks that wait for futures of a worker that is lost, where one of them has failed already."""
+
+    async def leave() -> None:
+        for error in (AllExit(), KeyError("of others")):
+            asyncio.get_running_loop().create_future().set_exception(error)  # nobody will ask
+        gc.collect()
+
+    with engine._silenced():
+        pass
+    asyncio.run(leave())
+    assert [record.exc_info[0] for record in caplog.records if record.exc_info] == [KeyError]
