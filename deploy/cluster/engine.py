@@ -352,25 +352,24 @@ class Cluster(Generic[T]):
             self._client.sync(self._client._cancel, list(futures), force=True, callback_timeout=within_s)
 
 
-class _NotOfDask(logging.Filter):
-    """Lets through what is not about an exception of Dask's own."""
+class _NoAllExit(logging.Filter):
+    """Lets through all but what is about `AllExit`, by which Dask ends a wait early: it says nothing else."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        kind = record.exc_info[0] if record.exc_info else None
-        return kind is None or not kind.__module__.startswith("distributed.")
+        return record.exc_info is None or record.exc_info[0] is not distributed.client.AllExit
 
 
-_NOT_OF_DASK: Final = _NotOfDask()
+_NO_ALL_EXIT: Final = _NoAllExit()
 
 
 @contextmanager
 def _silenced() -> Iterator[None]:
     """A context in which Dask logs nothing: what matters of it is said as one line.
 
-    What asyncio says of tasks that Dask has left with an exception stays unsaid afterwards, too: it comes
-    when they are garbage, which may be at any time.
+    What asyncio says of waits that Dask has ended early stays unsaid afterwards, too: it comes when they are
+    garbage, which may be at any time.
     """
-    logging.getLogger("asyncio").addFilter(_NOT_OF_DASK)
+    logging.getLogger("asyncio").addFilter(_NO_ALL_EXIT)
     loggers = [
         logging.getLogger(name)
         for name in list(logging.root.manager.loggerDict)

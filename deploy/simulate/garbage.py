@@ -17,7 +17,8 @@ _may_be_left = False
 
 @contextmanager
 def seldom_looked_for() -> Iterator[None]:
-    """A context in which what there is already is not looked through, and the rest seldom."""
+    """A context in which what there is already is not looked through, and the rest seldom. What drives before
+    it were made of, and nobody has any more, is gone when it begins."""
     global _may_be_left
     before = gc.get_threshold()
     freezes = gc.get_freeze_count() == 0  # what others froze stays so

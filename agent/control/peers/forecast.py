@@ -70,8 +70,9 @@ class Course:
     """Where the way of a robot begins: at a message, and what its desired motion was then.
 
     Attributes:
-        time_ns: of the message, or the epoch if that is later.
-        motion: the desired motion at that time, if it had a place (`had_place`).
+        message: the robot's.
+        time_ns: of the message, or the epoch if that is later; ns, by the robot's clock.
+        motion: the desired motion at that time, if it had a place (`had_place`): m, m/s, m/s^2, W.
     """
 
     __slots__ = "had_place", "message", "motion", "time_ns"
@@ -139,7 +140,8 @@ class Forecast:
         return self._carried(message, since, then, then_ns - since_ns, slowly)
 
     def course(self, message: HandState) -> Course:
-        """Where the way of a robot begins that is asked for at many times, by `on`."""
+        """Where the way of a robot begins that is asked for at many times, by `on`: what belongs to its
+        message is looked up once."""
         since_ns = max(message.time_ns, self.epoch_ns)
         at = self._instants(since_ns)
         if message.robot not in at.offsets:
@@ -147,7 +149,7 @@ class Forecast:
         return Course(message, since_ns, at.motion(message.robot))
 
     def on(self, course: Course, then_ns: int, at: Instant) -> Prediction:
-        """As `following`, of one that has a place in `at`, the desired motion of all at `then_ns`."""
+        """As `following`, of one that has a place in `at`, the desired motion of all at `then_ns` (ns)."""
         then = at.motion(course.message.robot)
         if course.time_ns >= then_ns:
             return self._carried(course.message, then, then, 0, inf)
