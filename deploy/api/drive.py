@@ -136,7 +136,7 @@ def run(
         Error: the fleet cannot be loaded or driven, or the folder cannot be written.
     """
     from deploy.console.interrupt import Interrupt
-    from deploy.drive.live_view import make_view
+    from deploy.drive.display.live_view import make_view
     from deploy.drive.local import LocalRun
     from deploy.processes.placement import place
     from deploy.report.run_folder import RunFolder

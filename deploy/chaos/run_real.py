@@ -16,7 +16,7 @@ from deploy.chaos.profiles.pieces import name_of
 from deploy.chaos.report import Driven
 from deploy.chaos.run import Outcome, judged, scenario_text
 from deploy.console.interrupt import Interrupt
-from deploy.drive.live_view import make_view
+from deploy.drive.display.live_view import make_view
 from deploy.drive.local import LocalRun
 from deploy.processes.placement import place
 from deploy.recording.mcap_reader import read_run

@@ -20,8 +20,8 @@ from agent.messages.types import Event, Heartbeat, Stop
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots, some
 from deploy.drive import realtime
+from deploy.drive.display.live_view import View
 from deploy.drive.fleet_state import FleetState, Record
-from deploy.drive.live_view import View
 from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, why
 from deploy.drive.standstill import Standstill
 from deploy.drive.timing import Timing

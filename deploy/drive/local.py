@@ -10,8 +10,8 @@ from typing import Final
 
 from agent.fleet.model import Fleet
 from deploy.console.interrupt import Interrupt
+from deploy.drive.display.live_view import View
 from deploy.drive.drive import Drive
-from deploy.drive.live_view import View
 from deploy.drive.timing import Timing
 from deploy.inventory.registry import Registration
 from deploy.processes.child import environment

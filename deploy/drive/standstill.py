@@ -9,8 +9,8 @@ from typing import Final
 
 from agent.messages import key_expressions
 from deploy.console.interrupt import Interrupt
+from deploy.drive.display.live_view import View
 from deploy.drive.fleet_state import COLLECT_S, FleetState
-from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
 from deploy.drive.timing import Timing
 from deploy.orders.stop_outcome import Stopping, has_acknowledged

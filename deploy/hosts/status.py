@@ -21,7 +21,7 @@ from agent.security.certificates import DAY_S, until
 from agent.security.identity import Identity, IdentityError, of_robot, of_router, parse
 from agent.supervision.state_machine import State
 from deploy.console.wording import FEW, robots
-from deploy.drive.fleet_table import STYLES
+from deploy.drive.display.fleet_table import STYLES
 from deploy.hosts.artifacts import systemd_units
 from deploy.hosts.certificates import identities_on
 from deploy.hosts.connection import Clock, HostError

@@ -126,7 +126,7 @@ BY_OTHERS: Final = {
         deploy/console/data_files
         deploy/console/progress
         deploy/console/terminal
-        deploy/drive/terminal_view
+        deploy/drive/display/terminal_view
         deploy/faults/windows
         deploy/faults/wording
         deploy/orders/blend_time

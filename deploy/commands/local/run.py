@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from agent.transport.bus import BusError
-    from deploy.drive.live_view import make_view
+    from deploy.drive.display.live_view import make_view
     from deploy.drive.local import LocalRun
     from deploy.processes.placement import place
     from deploy.recording.recorder import RecordingError

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _simulate(options: argparse.Namespace) -> int:
     from agent.formation.geometry import resolve
-    from deploy.drive.live_view import make_view
+    from deploy.drive.display.live_view import make_view
     from deploy.drive.watch import Watch
     from deploy.recording.recorder import RecordingError
     from deploy.simulate.simulation import Simulation

@@ -181,8 +181,8 @@ def _attend(
     from agent.transport.bus import BusError
     from deploy.commands.running.ways import by_ssh
     from deploy.drive.attached import Attached
+    from deploy.drive.display.live_view import make_view
     from deploy.drive.drive import Drive
-    from deploy.drive.live_view import make_view
     from deploy.drive.preconditions import BROKEN_OFF
     from deploy.recording.recorder import RecordingError
     from deploy.session.operator_bus import operator_bus
@@ -243,8 +243,8 @@ def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt:
     """Gives the mission and ends, while the robots drive on."""
     from deploy.commands.running.ways import by_ssh
     from deploy.drive.attached import Attached
+    from deploy.drive.display.live_view import make_view
     from deploy.drive.drive import Drive
-    from deploy.drive.live_view import make_view
     from deploy.drive.preconditions import clock
     from deploy.session.operator_bus import operator_bus
     from deploy.session.session import valid

@@ -13,8 +13,8 @@ from typing import TextIO
 import pytest
 
 from deploy.console.terminal import TerminalView
-from deploy.drive import terminal_view
-from deploy.drive.live_view import make_view
+from deploy.drive.display import terminal_view
+from deploy.drive.display.live_view import make_view
 from deploy.drive.watch import Picture, RobotPicture
 from deploy.hosts import view
 from deploy.hosts.view import Row, make_hosts_view

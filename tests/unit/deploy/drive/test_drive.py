@@ -26,8 +26,8 @@ from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, R
 from agent.transport.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.drive.attached import Attached
+from deploy.drive.display.live_view import Lines
 from deploy.drive.drive import FRESH_NS, SHOW_FIRST_NS, SHOW_PERIOD_NS, STOOD_NS, Drive
-from deploy.drive.live_view import Lines
 from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
 from deploy.drive.timing import Timing
 from deploy.faults.process_actions import Action

@@ -9,8 +9,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from deploy.analysis.silent_bodies import in_words
 from deploy.console.terminal import TerminalView, plain
-from deploy.drive.fleet_table import ROWS_MAX, ROWS_MIN, table
-from deploy.drive.picture_wording import REASONS_MAX, faults_line, packed, parts
+from deploy.drive.display.fleet_table import ROWS_MAX, ROWS_MIN, table
+from deploy.drive.display.picture_wording import REASONS_MAX, faults_line, packed, parts
 from deploy.drive.watch import Picture
 
 

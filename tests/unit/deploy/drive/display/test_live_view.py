@@ -15,8 +15,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
 from deploy.analysis.silent_bodies import SilentBody
 from deploy.console.data_files import FLEETS
-from deploy.drive.live_view import Lines, make_view
-from deploy.drive.picture_wording import faults_line, summary
+from deploy.drive.display.live_view import Lines, make_view
+from deploy.drive.display.picture_wording import faults_line, summary
 from deploy.drive.watch import Picture, RobotPicture, Watch
 from tests.screen import screen_lines
 

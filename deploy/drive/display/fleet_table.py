@@ -14,7 +14,7 @@ from rich.text import Text
 from agent.common.wording import printable
 from agent.supervision.state_machine import State
 from deploy.console.wording import some
-from deploy.drive.picture_wording import clock_words
+from deploy.drive.display.picture_wording import clock_words
 from deploy.drive.vehicle_checks import BLOCKING, WARNING
 from deploy.drive.watch import RobotPicture
 

@@ -7,7 +7,7 @@ from typing import Protocol, TextIO
 
 from deploy.analysis.silent_bodies import in_words
 from deploy.console.views import LinesView, Speaker
-from deploy.drive.picture_wording import REASONS_MAX, faults_line, summary
+from deploy.drive.display.picture_wording import REASONS_MAX, faults_line, summary
 from deploy.drive.watch import Picture
 
 
@@ -27,7 +27,7 @@ def make_view(stream: TextIO | None = None, *, quiet: bool = False, period_s: fl
     stream = sys.stderr if stream is None else stream
     if quiet or not stream.isatty():
         return Lines(stream, quiet=quiet, period_s=period_s)
-    from deploy.drive.terminal_view import Terminal  # loads Rich
+    from deploy.drive.display.terminal_view import Terminal  # loads Rich
 
     return Terminal(stream)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.drive.picture_wording import FAULTS_MAX, clock_words, faults_line, packed, summary
+from deploy.drive.display.picture_wording import FAULTS_MAX, clock_words, faults_line, packed, summary
 from deploy.drive.watch import Picture, RobotPicture
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from deploy.drive.fleet_table import COLUMNS, table
+from deploy.drive.display.fleet_table import COLUMNS, table
 from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line
 from deploy.drive.watch import RobotPicture
 
