@@ -35,7 +35,8 @@ WHEEL = CFLAGS="$(COMPILED_CFLAGS) $(1)" HATCH_BUILD_HOOKS_ENABLE=1 $(PY) -m pip
 # What they never come to is as without (a profile of virtual time has nothing of Zenoh).
 TRAINING := "" "--set faults.delay=500ms --set faults.loss=30%"
 USE_PROFILE := -fprofile-use=$$tmp/profile -fprofile-partial-training -Wno-missing-profile
-WITHOUT_PGO := $(if $(PGO),$(shell grep -qsx pgo $(COMPILED)/.built || echo FORCE))
+# What is there without a profile is made again where one is asked for.
+UNPROFILED := $(if $(PGO),$(shell grep -qsx pgo $(COMPILED)/.built || echo FORCE))
 
 DEMO_OUT ?= runs/demo
 # Where every test is one that starts processes; named, that the others need not be collected again.
@@ -159,15 +160,14 @@ $(VENV)/.dev: $(VENV)/.made requirements/lock.txt requirements/operator.txt pypr
 	@$(PROJECT)
 	@touch $(VENV)/.operator $@
 
-CAN_COMPILE := import os, shutil, sys, sysconfig as s; sys.exit(not (shutil.which(os.environ.get("CC") or s.get_config_var("CC").split()[0]) and os.path.exists(s.get_path("include") + "/Python.h")))
-# What it prints is a compiler; clang takes profiles in another form.
-COMPILER := import os, sysconfig as s; print(os.environ.get("CC") or s.get_config_var("CC").split()[0])
+COMPILER := os.environ.get("CC") or s.get_config_var("CC").split()[0]
+CAN_COMPILE := import os, shutil, sys, sysconfig as s; sys.exit(not (shutil.which($(COMPILER)) and os.path.exists(s.get_path("include") + "/Python.h")))
 
-$(COMPILED)/.built: $(VENV)/.dev $(SOURCES) $(WITHOUT_PGO)
+$(COMPILED)/.built: $(VENV)/.dev $(SOURCES) $(UNPROFILED)
 	@if ! $(PY) -c '$(CAN_COMPILE)'; then \
 	  echo "a C compiler and Python's headers are needed (Debian, Ubuntu: apt install gcc libc6-dev python3-dev)" >&2; exit 1; \
 	fi
-	@$(if $(PGO),if "$$($(PY) -c '$(COMPILER)')" -dM -E -x c /dev/null | grep -q __clang__; then \
+	@$(if $(PGO),if "$$($(PY) -c 'import os, sysconfig as s; print($(COMPILER))')" -dM -E -x c /dev/null | grep -q __clang__; then \
 	  echo "PGO=1 needs gcc: clang takes profiles in another form (CC=gcc)" >&2; exit 1; \
 	fi,:)
 	@echo 'compiling, which takes some $(if $(PGO),fifteen,five) minutes'
@@ -175,7 +175,7 @@ $(COMPILED)/.built: $(VENV)/.dev $(SOURCES) $(WITHOUT_PGO)
 	@cp -RP agent plant bridges deploy handfast.py handfast-stubs pyproject.toml README.md LICENSE $(COMPILED_BUILD)
 	@$(PY) -m agent.messages.fast_path > $(COMPILED_BUILD)/agent/messages/compiled_fast_path.py
 ifdef PGO
-	@set -e; tmp=$$(mktemp -d); trap 'rm -rf "$$tmp"' EXIT; \
+	@set -e; tmp=$$(mktemp -d); trap 'rm -rf "$$tmp"' EXIT; trap 'exit 130' INT TERM; \
 	export HATCH_MYPYC_BUILD_DIR="$$tmp/c"; mkdir "$$tmp/c"; \
 	$(call WHEEL,-fprofile-generate=$$tmp/profile -fprofile-update=single); \
 	for more in $(TRAINING); do rm -rf "$$tmp/out"; \
