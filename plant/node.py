@@ -53,7 +53,6 @@ class PlantNode:
 
     Attributes:
         rejected: messages that were refused, by reason.
-        overruns: ticks that were missed.
         condition: what it does, driving or braking, or that its body is released, and why.
 
     Raises:
@@ -119,7 +118,6 @@ class PlantNode:
             self._key_texts,
             *self._ingress.publications,
         )
-        self.overruns = 0
         self._clock: MachineClock | None = None
         self._now_ns = self._ahead_ns = self._late_ns = 0
         self._wrench: Wrench | None = None
@@ -153,8 +151,7 @@ class PlantNode:
         """Nothing: its log says it."""
 
     def timed(self, duration_ns: int, missed: int) -> None:
-        """Counts the `missed` ticks before one that took `duration_ns`."""
-        self.overruns += missed
+        """Nothing: the loop counts what is missed, and says it at the end."""
 
     def late(self, now_ns: int, late_ns: int) -> None:
         """See `agent.node.Node`: it has not heard its agent for that time."""

@@ -32,7 +32,7 @@ class Pooled:
         """Has a message wait for the tick, with the newest of its key."""
         self._inbox[key].append(payload)
 
-    def tick(self, now_ns: int, missed: int, late_ns: int) -> list[Outgoing]:
+    def tick(self, now_ns: int, late_ns: int) -> list[Outgoing]:
         """Takes its messages, by key in the order of its subscriptions as a bus drains them, and ticks; by
         what `Ticks.take` gave."""
         node = self.node
@@ -41,7 +41,6 @@ class Pooled:
         for key, waiting in self._inbox.items():
             while waiting:
                 node.receive(now_ns, key, waiting.popleft())
-        node.timed(0, missed)
         out = node.tick(now_ns)
         state, why = node.condition
         if state != self._said:  # reasons alone may change often
@@ -50,8 +49,8 @@ class Pooled:
         return out
 
 
-Turn = tuple[Pooled, int, int, int]
-"""A plant that ticks, and what `Ticks.take` gave for it: the time, ticks that were missed, how late it is."""
+Turn = tuple[Pooled, int, int]
+"""A plant that ticks, and what `Ticks.take` gave for it: the time, and how late it is."""
 
 
 class PlantPool:
@@ -133,7 +132,7 @@ class PlantPool:
         """Nothing: each plant is told with its own tick."""
 
     def timed(self, duration_ns: int, missed: int) -> None:
-        """Nothing: each plant is told with its own tick."""
+        """Nothing: the loop counts what is missed, and says it at the end."""
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Has a message wait for the next tick of each plant that listens to its key."""
@@ -147,8 +146,8 @@ class PlantPool:
     def tick(self, now_ns: int) -> list[Outgoing]:
         """Ticks those whose turn it is, each with the time that was planned for it."""
         out: list[Outgoing] = []
-        for plant, tick_ns, missed, late_ns in self._turns:
-            out += plant.tick(tick_ns, missed, late_ns)
+        for plant, tick_ns, late_ns in self._turns:
+            out += plant.tick(tick_ns, late_ns)
         return out
 
 
@@ -169,15 +168,17 @@ class PoolTicks:
 
     def take(self, now_ns: int) -> tuple[int, int, int]:
         """As `Ticks.take`, of the plant that was to tick first; tells the pool who ticks now."""
-        turns = []
+        turns: list[Turn] = []
+        taken: list[tuple[int, int, int]] = []
         self._taken = []
         for plant, ticks in self._each:
             if ticks.due_ns <= max(now_ns, self.due_ns):
-                tick_ns, missed, late_ns = ticks.take(now_ns)
-                turns.append((plant, tick_ns, missed, late_ns))
+                found = tick_ns, _, late_ns = ticks.take(now_ns)
+                taken.append(found)
+                turns.append((plant, tick_ns, late_ns))
                 self._taken.append((ticks, tick_ns))
         self._pool.take(turns)
-        return min(turn[1:] for turn in turns)
+        return min(taken)
 
     def plan(self, tick_ns: int) -> None:
         """Plans the next tick of those that have ticked."""

@@ -658,13 +658,6 @@ def test_noise_does_not_keep_a_body_from_standing(backend: Backend):
     assert node.done
 
 
-def test_missed_ticks_are_counted(node: PlantNode):
-    node.timed(1000, 0)
-    node.timed(1000, 3)
-    node.timed(1000, 2)
-    assert node.overruns == 5
-
-
 def test_a_body_without_its_agent_comes_to_rest():
     made = fleet()
     node = PlantNode(made, 1, from_fleet(made, 1))

@@ -177,7 +177,6 @@ def test_one_that_is_late_is_told_so_and_skips_its_own_ticks() -> None:
     tick_ns, missed, late_ns = due.take(T0 + 3 * PERIOD + 7 * MS)
     assert (tick_ns, missed, late_ns) == (T0 + 3 * PERIOD, 2, 2 * PERIOD + 7 * MS)
     pool.tick(tick_ns)
-    assert [node.overruns for node in nodes] == [2, 2, 2]
     due.plan(tick_ns)
     assert due.due_ns == T0 + 4 * PERIOD
 
