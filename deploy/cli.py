@@ -24,7 +24,7 @@ for _name in ("agent", "plant", "bridges"):  # before anything of them runs; as 
         sys.exit(2)  # agent.common.exit.BAD_INPUT
 
 from agent.common.errors import Error, packages_named
-from agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED, PASSED
+from agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED, PASSED, UNREAD
 from deploy.console.data_files import bundled
 from deploy.console.interrupt import remembered
 
@@ -187,7 +187,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # The reader of our output is gone (`handfast check ... | head`): nothing is left to say or flush.
         _write_out()
-        return FAILED
+        return UNREAD
     except OSError as error:
         if error.errno != ENOSPC:
             raise
@@ -282,7 +282,8 @@ def _parser(asked: Collection[str] | None = None) -> argparse.ArgumentParser:
         prog="handfast",
         description=DESCRIPTION,
         epilog="FLEET is a fleet file (TOML) or the name of a bundled one: "
-        f"{', '.join(bundled())}. Exit status: 0 fine; 1 the verdict failed; 2 bad input; 130 after Ctrl-C.",
+        f"{', '.join(bundled())}. Exit status: 0 fine; 1 the verdict failed; 2 bad input; 130 after Ctrl-C; "
+        "141 whoever read the output left before its end.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
     commands = parser.add_subparsers(

@@ -12,3 +12,5 @@ BAD_INPUT: Final = 2
 """One message named what is wrong; nothing was begun."""
 INTERRUPTED: Final = 130
 """After Ctrl-C, with everything that was started stopped."""
+UNREAD: Final = 141
+"""Who read its output left before the end (`handfast ... | head`): as of a program that SIGPIPE ends."""

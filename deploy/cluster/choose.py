@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, Protocol, TypeVar
@@ -12,7 +13,7 @@ from agent.common.wording import printable
 from agent.common.wording import show as shown
 from agent.fleet.model import Fleet
 from deploy.console.arguments import fleet_path
-from deploy.hosts.artifacts.plugin_files import PluginFilesError, plugin_files
+from deploy.hosts.artifacts.plugin_files import files_of_plugins
 from deploy.simulate import worker_pool
 from deploy.simulate.worker_pool import Engine, GoOn, Work
 
@@ -131,20 +132,14 @@ def _is_address(text: str) -> bool:
     """Whether it is the address of a scheduler."""
     scheme = next((scheme for scheme in _SCHEMES if text.startswith(scheme)), None)
     host, colon, port = text.removeprefix(scheme or "").rpartition(":")
-    return bool(scheme and host and colon and port.isdecimal())
+    # Not `isdecimal`: digits of other scripts are, too.
+    return bool(scheme and host and colon and re.fullmatch("[0-9]{1,5}", port) and 0 < int(port) < 65536)
 
 
 def _files(fleets: Iterable[Fleet], show: Progress) -> dict[str, bytes]:
-    """The files of the plugins that fleets name, by their names below a folder of packages."""
-    references: set[str] = set()
-    for fleet in fleets:
-        references |= {robot.plant for robot in fleet.robots if robot.kind.is_plugin}
-        references |= {fleet.control.law} if fleet.control.law is not None else set()
-    files: dict[str, bytes] = {}
-    # A name without a module is known in this process alone: such classes are in the work itself.
-    for module in sorted({each.partition(":")[0] for each in references if ":" in each}):
-        try:
-            files |= dict(plugin_files((module,)))
-        except PluginFilesError as error:
-            show.say(f"{error}; workers need it installed")
+    """The files of the plugins that fleets name; of whom there are none is said. Classes that are known in
+    this process alone are in the work itself."""
+    files, lacking = files_of_plugins(fleets)
+    for error in lacking:
+        show.say(f"{error}; workers need it installed")
     return files

@@ -6,17 +6,14 @@ Standard library and our own packages only: a worker imports it before anything 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
-from hashlib import blake2b
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Final
 
 from agent.runtime.version import handfast_version
 from deploy.console.data_files import ROOT
+from deploy.console.sources import sources_digest
 
-PACKAGES: Final = ("agent", "plant", "bridges", "deploy")
-MODULE: Final = "handfast.py"
 LIBRARIES: Final = ("numpy", "msgpack")
 """Others' packages that have a part in the numbers and bytes of a run."""
 SOURCES: Final = "sources"
@@ -30,16 +27,6 @@ def identity() -> Mapping[str, str]:
         **{name: _version(name) for name in LIBRARIES},
         SOURCES: sources_digest(ROOT),
     }
-
-
-def sources_digest(root: Path) -> str:
-    """16 hex digits over the names and contents of our Python files below `root`."""
-    found = blake2b(digest_size=8)
-    for path in _sources(root):
-        data = path.read_bytes()
-        found.update(f"{path.relative_to(root).as_posix()}\0{len(data)}\0".encode())
-        found.update(data)
-    return found.hexdigest()
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
@@ -61,9 +48,3 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "none"
-
-
-def _sources(root: Path) -> Iterator[Path]:
-    for package in PACKAGES:
-        yield from sorted(path for path in (root / package).rglob("*.py") if path.is_file())
-    yield root / MODULE

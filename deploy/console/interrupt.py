@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
+NOT_STARTED: Final = "nothing was started"
+"""The answer while a command still reads what it was given, which may take for ever (a pipe)."""
 _unanswered: Final[list[int]] = []
 """Interrupts that were raised within `remembered`."""
 

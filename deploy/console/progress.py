@@ -8,24 +8,29 @@ from typing import Any, Final, TextIO
 LINE_PERIOD_S: Final = 10.0
 
 
-def make_progress(stream: TextIO, total: int, done: int = 0, *, quiet: bool, trouble: str) -> Lines | Bar:
+def make_progress(
+    stream: TextIO, total: int, done: int = 0, *, quiet: bool, trouble: str, troubled: int = 0
+) -> Lines | Bar:
     """Makes what shows progress: a bar on a terminal, else a plain line from time to time. Context managers.
 
     Args:
         total, done: all runs, and those that were done before.
         trouble: what is wrong with the runs that are counted as such, in words.
+        troubled: so many of those that were done before are.
     """
     if stream.isatty() and not quiet:
-        return Bar(stream, total, done, trouble)
-    return Lines(stream, total, done, trouble, quiet=quiet)
+        return Bar(stream, total, done, trouble, troubled)
+    return Lines(stream, total, done, trouble, troubled, quiet=quiet)
 
 
 class Lines:
     """Plain lines, for logs and pipes: at every tenth of the runs, and every `LINE_PERIOD_S`."""
 
-    def __init__(self, stream: TextIO, total: int, done: int, trouble: str, *, quiet: bool) -> None:
+    def __init__(
+        self, stream: TextIO, total: int, done: int, trouble: str, troubled: int, *, quiet: bool
+    ) -> None:
         self._stream, self._total, self._done, self._quiet = stream, total, done, quiet
-        self._before, self._what, self._trouble = done, trouble, 0
+        self._before, self._what, self._trouble = done, trouble, troubled
         self._at_work = ""
         self._begun_s = self._told_s = time.monotonic()
 
@@ -69,7 +74,7 @@ def clock(seconds: float) -> str:
 class Bar:
     """A bar that is redrawn in place."""
 
-    def __init__(self, stream: TextIO, total: int, done: int, trouble: str) -> None:
+    def __init__(self, stream: TextIO, total: int, done: int, trouble: str, troubled: int) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -85,7 +90,7 @@ class Bar:
             console=Console(file=stream),
             speed_estimate_period=120.0,
         )
-        self._before, self._done, self._what, self._trouble = done, done, trouble, 0
+        self._before, self._done, self._what, self._trouble = done, done, trouble, troubled
         self._task = self._progress.add_task("", total=total, completed=done, rate="", at_work="", trouble="")
 
     def __enter__(self) -> Bar:

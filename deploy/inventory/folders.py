@@ -33,6 +33,15 @@ def out_folder(out: str | Path | None, name: str, above: str = "runs") -> Path:
     return next(path for each in names if not (path := Path(above) / each).exists())
 
 
+def refuse_unwritable(out: Path) -> None:
+    """Refuses a folder that can be neither made nor written into, and makes nothing; raises `InputError`."""
+    place = next((each for each in (out, *out.absolute().parents) if os.path.lexists(each)), Path("/"))
+    if not place.is_dir():
+        raise InputError(f"{place} is no folder: name another one with --out")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write into {place}: name another folder with --out")
+
+
 def refuse_full(out: Path) -> None:
     """Refuses what is there and no empty folder; raises `InputError`."""
     try:

@@ -2,8 +2,8 @@
 
 `Engine` is what drives runs, `Pool` the one on this machine; `deploy.cluster` has that of many machines.
 
-A run that takes its process with it, or never ends, costs that run and nothing else: the process is
-replaced. The workers end with the process that started them.
+A run that takes its process with it twice, or never ends, costs that run and nothing else: the process is
+replaced. The workers end with the process that started them, and with a worker what its runs have started.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from multiprocessing import resource_tracker
@@ -32,7 +32,11 @@ START_ATTEMPTS: Final = 3
 """So many starts that fail one after the other end it all: it is not for a run that they do."""
 END_TIMEOUT_S: Final = 2.0
 _READY: Final = "ready"
-_BLOCKED: Final = (signal.SIGINT, signal.SIGHUP)
+DEATHS_MAX: Final = 2
+"""A run whose process died so often is not driven again. The first death may have been another's doing, such
+as the kernel's where memory is short."""
+_BLOCKED: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
+"""What is sent to the processes of a terminal, a unit or a job, and is for their starter to answer."""
 
 
 T = TypeVar("T")
@@ -60,7 +64,7 @@ class Work(Protocol[Result]):
         ...
 
     def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> Result:
-        """The result of a run whose process died, or was ended because it took too long."""
+        """The result of a run whose process died (`DEATHS_MAX`), or was ended because it took too long."""
         ...
 
 
@@ -92,6 +96,7 @@ def cores() -> int:
 
 def _work(connection: Connection, work: Work[Any]) -> None:
     """A worker: takes numbers of runs until there are no more, gives what came of them."""
+    os.setpgid(0, 0)  # with what its runs start: `_Worker.end` and `end_with_parent` end it all
     parent = multiprocessing.parent_process()
 
     def go_on() -> bool:
@@ -101,7 +106,7 @@ def _work(connection: Connection, work: Work[Any]) -> None:
         assert parent is not None
         parent.join()
         time.sleep(END_TIMEOUT_S)  # a run that asks `go_on` has ended in order by then
-        os._exit(1)
+        os.killpg(0, signal.SIGKILL)
 
     if parent is not None:
         threading.Thread(target=end_with_parent, daemon=True).start()
@@ -109,6 +114,7 @@ def _work(connection: Connection, work: Work[Any]) -> None:
         connection.send(_READY)
         while True:
             connection.send(work.execute(connection.recv(), go_on))
+    os.killpg(0, signal.SIGKILL)
 
 
 _starting: Final = threading.Lock()
@@ -124,9 +130,8 @@ class _Worker:
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs, work), daemon=True)
         with _starting:
-            # A Ctrl-C reaches every process of a terminal, and is its starter's to answer. A mask, unlike a
-            # handler, holds from the new process's first instruction on. The tracker, which `start` would
-            # start first, undoes it: so it has to run already.
+            # A mask, unlike a handler, holds from the new process's first instruction on. The tracker, which
+            # `start` would start first, undoes it: so it has to run already.
             resource_tracker.ensure_running()
             mask = signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
             # The new process would run the program's main module once more, which a script may have no guard
@@ -165,8 +170,11 @@ class _Worker:
         return f"its process ended with exit status {code}"
 
     def end(self) -> None:
-        """Ends the process, now."""
+        """Ends the process and all that its runs have started, now."""
         self.connection.close()
+        assert self.process.pid is not None
+        with suppress(ProcessLookupError):  # it has ended and nothing is left, or has not come so far
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.process.kill()
         self.process.join()
         self.process.close()
@@ -179,6 +187,7 @@ class Pool(Generic[T]):
         self._runs_of, self._jobs, self._timeout_s = work, jobs, timeout_s
         self._workers: list[_Worker] = []
         self._failed_starts = 0
+        self._deaths: Counter[int] = Counter()
         for name, value in ONE_THREAD.items():
             os.environ.setdefault(name, value)
 
@@ -210,10 +219,11 @@ class Pool(Generic[T]):
             readable = wait([worker.connection for worker in self._workers], POLL_S)
             for worker in list(self._workers):
                 is_readable = worker.connection in readable
-                yield from self._take(worker) if is_readable else self._look(worker)
+                yield from self._take(worker, queue) if is_readable else self._look(worker)
 
-    def _take(self, worker: _Worker) -> tuple[T, ...]:
-        """What it has sent came of its run, if it is that."""
+    def _take(self, worker: _Worker, queue: deque[int]) -> tuple[T, ...]:
+        """What it has sent came of its run, if it is that. A run that died for the first time is to be driven
+        next."""
         received = worker.take()
         if received == (_READY,):
             worker.ready, self._failed_starts = True, 0
@@ -227,7 +237,14 @@ class Pool(Generic[T]):
             self._failed_starts += 1
             if self._failed_starts == START_ATTEMPTS:
                 raise PoolError(f"the workers cannot start: {death}")
-        return () if run is None else (self._runs_of.unfinished(run, death, took_s, timed_out=False),)
+        if run is None:
+            return ()
+        self._deaths[run] += 1
+        if self._deaths[run] < DEATHS_MAX:
+            queue.appendleft(run)
+            return ()
+        del self._deaths[run]
+        return (self._runs_of.unfinished(run, death, took_s, timed_out=False),)
 
     def _look(self, worker: _Worker) -> tuple[T, ...]:
         """Ends it if it takes too long."""

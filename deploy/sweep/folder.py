@@ -32,6 +32,8 @@ from deploy.verdict.metrics import columns
 FORMAT: Final = 1
 SWEEP_FILE: Final = "sweep.toml"
 RESULTS_FILE: Final = "results.csv"
+SOURCES: Final = "sources"
+NEW: Final = ".new"
 _WORDS: Final = {"true": True, "false": False, "": None}
 
 
@@ -40,12 +42,14 @@ class SweepFolder:
 
     Args:
         path: made if need be; empty, or with a sweep that asks the same.
+        sources: of the program that is to drive (`deploy.console.sources`), empty where that is not known.
 
     Raises:
-        SweepError: the folder holds something else, is in use, or cannot be written.
+        SweepError: the folder holds something else, rows that another program has driven while others are
+            missing, is in use, or cannot be written.
     """
 
-    def __init__(self, path: Path, question: Question, plan: Plan) -> None:
+    def __init__(self, path: Path, question: Question, plan: Plan, sources: str = "") -> None:
         self.path, self.plan = path, plan
         self.rows: dict[int, Row] = {}
         self._results = path / RESULTS_FILE
@@ -56,8 +60,9 @@ class SweepFolder:
             self._lock = os.open(path, os.O_RDONLY)
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._claim(question)
+                self._claim(question, sources)
                 self._read()
+                self._keep_to(sources)
                 self._stream = open(self._results, "ab", buffering=0)  # noqa: SIM115 (until __exit__)
             except BaseException:
                 os.close(self._lock)
@@ -108,19 +113,44 @@ class SweepFolder:
         except OSError as error:
             raise SweepError(f"cannot write {self._results}: {error.strerror or error}") from None
 
-    def _claim(self, question: Question) -> None:
+    def _claim(self, question: Question, sources: str) -> None:
         """Makes the folder this sweep's, unless it is that already."""
         asked, known = _asked(question, self.plan), self.path / SWEEP_FILE
         if known.exists():
             _compare(self.path, _read_toml(known), asked, self.plan.cells[0].fleet.name)
             return
-        if any(self.path.iterdir()):
+        text = question.text.encode()
+        if not self._was_begun(text):
             raise SweepError(
                 f"{self.path} is not empty and holds no sweep: name another folder with --out, or remove it"
             )
-        (self.path / FLEET_FILE).write_text(question.text, encoding="utf-8")
+        (self.path / FLEET_FILE).write_bytes(text)
         # Last: a folder with this file is a sweep that can go on.
-        replace_file(known, tomli_w.dumps({"sweep": asked}).encode())
+        replace_file(known, _sweep_file(asked, sources))
+
+    def _was_begun(self, text: bytes) -> bool:
+        """Whether there is nothing but what one leaves that was killed here, or met a full disk."""
+        names = {path.name for path in self.path.iterdir()}
+        if not names <= {FLEET_FILE, SWEEP_FILE + NEW}:
+            return False
+        return FLEET_FILE not in names or text.startswith((self.path / FLEET_FILE).read_bytes())
+
+    def _keep_to(self, sources: str) -> None:
+        """Refuses to have rows driven by one program beside those of another."""
+        known = self.path / SWEEP_FILE
+        asked = _read_toml(known)
+        before = asked.get(SOURCES, "")
+        if before in ("", sources) or not sources or not self.missing:
+            return
+        if not self.rows:
+            replace_file(known, _sweep_file(asked, sources))
+            return
+        raise SweepError(
+            f"{self.path}: the {len(self.rows)} of {self.plan.runs} runs that are done were driven by other "
+            f"Python files, of handfast or of a plugin, than those that are here now ({before}, now "
+            f"{sources}). Go on with those, or name another folder with --out; if no run can come out "
+            f"otherwise by what has changed, take the line `{SOURCES}` out of {known}"
+        )
 
     def _header(self) -> list[str]:
         return [
@@ -228,7 +258,7 @@ def read_digest(folder: Path) -> str:
 
 def replace_file(path: Path, content: bytes) -> None:
     """Writes a file all at once: whoever reads it sees the old or the new one, never a part."""
-    new = path.with_name(path.name + ".new")
+    new = path.with_name(path.name + NEW)
     try:
         new.write_bytes(content)
         new.replace(path)
@@ -264,6 +294,11 @@ def _asked(question: Question, plan: Plan) -> dict[str, Any]:
         **plan.identity(),
         "runs": plan.runs,
     }
+
+
+def _sweep_file(asked: dict[str, Any], sources: str) -> bytes:
+    """`SWEEP_FILE` of what is asked, and who drives it if that is known."""
+    return tomli_w.dumps({"sweep": asked | ({SOURCES: sources} if sources else {})}).encode()
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -312,10 +347,10 @@ def _compare(path: Path, there: dict[str, Any], asked: dict[str, Any], fleet: st
         )
     if not said:
         said = ["the fleet file is another one, or has been changed"]
-    raise SweepError(
-        f"{path} holds another sweep: {'; '.join(said)}. Name another folder with --out, or go on with "
-        f"that one: handfast sweep {path}"
-    )
+    its_own = {"format", "handfast"}.isdisjoint(differs)  # by another program it can not be gone on with
+    go_on = f", or go on with that one: handfast sweep {path}" if its_own else ""
+    holds = "another sweep" if its_own else "a sweep of another program"
+    raise SweepError(f"{path} holds {holds}: {'; '.join(said)}. Name another folder with --out{go_on}")
 
 
 def _fleet_name(path: Path) -> str | None:

@@ -28,6 +28,7 @@ RUNS_MAX: Final = 1_000_000
 RANGES_MAX: Final = 6
 """Fields that may be drawn: every combination of their ends is read and checked."""
 SIDE_M: Final = 4.0
+SIDE_MAX_M: Final = 1e6
 """Side of the square of random starts for six robots; others have as much room each."""
 GAP_M: Final = 0.3
 GAP_PER_SAFE: Final = 1.25
@@ -313,6 +314,10 @@ def _refuse_contradictions(question: Question) -> None:
         raise SweepError(
             f"--random-starts: draws where robots start and how they stand, {started[0]} as well: leave that "
             "out, or --random-starts"
+        )
+    if question.random_starts is not None and question.random_starts > SIDE_MAX_M:
+        raise SweepError(
+            f"--random-starts: a side of {question.random_starts:g} m is too long: at most {SIDE_MAX_M:g} m"
         )
     if question.repeat < 1:
         raise SweepError(f"--repeat must be at least 1, got {question.repeat}")

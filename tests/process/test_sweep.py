@@ -118,7 +118,7 @@ def test_one_run_can_be_driven_by_itself(whole: tuple[Path, Command], tmp_path: 
     (folder / "run-7.toml").unlink()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_sweep_that_was_cut_short_goes_on(
     whole: tuple[Path, Command], tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -126,7 +126,7 @@ def test_a_sweep_that_was_cut_short_goes_on(
     arguments = ("delta", *QUICK, "--repeat", "2", "--random-starts", "--out", "out")
     with Command(tmp_path, "sweep", *arguments) as command:
         wait_for_rows(command, tmp_path / "out", 2)
-        if number == signal.SIGINT:  # as a terminal does: to every process of it
+        if number != signal.SIGKILL:  # as a terminal, a shell's `kill %1` and a unit do: to every process
             os.killpg(command.process.pid, number)
             assert command.wait() == 130
             assert re.search(
@@ -165,10 +165,13 @@ def worker_at_work(command: Command) -> int:
 
 
 def test_a_run_that_does_not_end_and_one_that_dies_are_rows(tmp_path: Path) -> None:
-    """Each costs its own run and no other; and no worker goes on when the sweep itself is gone."""
+    """Each costs its own run and no other, one that dies when it has twice; and no worker goes on when the
+    sweep itself is gone."""
     arguments = ("pair", "--over", f"fleet.duration_s=1,{ENDLESS}", "--no-check", "--out", "out")
     with Command(tmp_path / "killed", "sweep", *arguments, "--jobs", "1") as command:
-        os.kill(worker_at_work(command), signal.SIGKILL)
+        for _ in range(2):
+            os.kill(pid := worker_at_work(command), signal.SIGKILL)
+            command.wait_until_gone([pid])
         assert command.wait() == 0, command.told()
     first, second = table(tmp_path / "killed" / "out")
     assert (first["verdict"], second["verdict"], second["safe"], second["settled"]) == (

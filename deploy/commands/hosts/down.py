@@ -38,9 +38,9 @@ def _down(options: argparse.Namespace) -> int:
     from deploy.inventory.fleets_up import note_down
     from deploy.inventory.hosts import hosts_of, located
 
+    fleet = load(options)
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
         hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
         fleet = located(fleet)
         with make_hosts_view() as view:

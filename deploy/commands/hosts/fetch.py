@@ -62,9 +62,9 @@ def _fetch(options: argparse.Namespace) -> int:
         raise InputError("--all takes all that there is: leave out --since and --until")
     if since_s is not None and until_s is not None and since_s >= until_s:
         raise InputError(f"--until {options.until} must be later than --since {options.since}")
+    fleet = load(options)
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
         name = fleet.fleet.name
         out = out_folder(options.out, f"{name}-fetched")
         refuse_full(out)

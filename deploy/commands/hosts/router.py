@@ -47,9 +47,9 @@ def _router(options: argparse.Namespace) -> int:
     from agent.runtime.systemd_notify import SystemdNotifier
     from agent.transport.bus import settings_of
 
+    fleet = load(options)
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
         listen = _listen(options, fleet)
         security = _security(options, fleet)
         connect = others(fleet, listen)

@@ -58,9 +58,9 @@ def _up(options: argparse.Namespace) -> int:
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated
     from deploy.inventory.operator_credentials import drop_earlier, keys_folder
 
+    fleet = load(options)
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
         source = str(fleet_path(options.fleet))
         hosts = hosts_of(fleet, source, options.hosts)
         refuse_simulated(fleet, source)

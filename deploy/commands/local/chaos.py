@@ -110,6 +110,7 @@ def chaos(options: argparse.Namespace) -> int:
     from deploy.console.interrupt import Interrupt
     from deploy.console.progress import make_progress
     from deploy.console.wording import some
+    from deploy.inventory.folders import refuse_unwritable
     from deploy.simulate.worker_pool import EngineLost, cores
 
     jobs = cores() if options.jobs is None else options.jobs
@@ -131,6 +132,7 @@ def chaos(options: argparse.Namespace) -> int:
     check_cluster(options.cluster)
     seeds = seeds_of(options.profile, options.seed, options.count)
     out = Path(options.out)
+    refuse_unwritable(out)  # now, not at the first scenario that fails
     if options.write:
         return _write_all(out, seeds)
     tally = Tally()

@@ -52,15 +52,15 @@ def _preflight(options: argparse.Namespace) -> int:
     sets = options.set_parameters or options.restore_parameters
     if options.yes and not sets:
         raise InputError("preflight: --yes goes with --set-parameters or --restore-parameters")
+    fleet = None if sets else load(options)
     interrupt = Interrupt()
     with interrupt.caught():
-        if sets:
+        if fleet is None:
             if options.json or options.each:
                 raise InputError(
                     "preflight: --json and --each go with a look alone: say them in one of its own"
                 )
             return set_parameters(options, interrupt)
-        fleet = load(options)
         on_hosts = any(robot.host is not None for robot in fleet.robots)
         found = _on_hosts(options, fleet, interrupt) if on_hosts else _here(fleet, interrupt)
     if interrupt.count:

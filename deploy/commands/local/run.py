@@ -17,7 +17,7 @@ from deploy.console.arguments import (
     load,
     view_argument,
 )
-from deploy.console.interrupt import Interrupt
+from deploy.console.interrupt import NOT_STARTED, Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 
 
@@ -39,10 +39,10 @@ def _run(options: argparse.Namespace) -> int:
 
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
-        _refuse_links(options, fleet)
-        refuse_errors(options, fleet)
-        with interrupt.answered("nothing was started", raises=True):
+        with interrupt.answered(NOT_STARTED, raises=True):
+            fleet = load(options)
+            _refuse_links(options, fleet)
+            refuse_errors(options, fleet)
             _refuse_overload(options, fleet)
         fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")

@@ -10,7 +10,7 @@ from typing import Final
 from agent.common.exit import FAILED
 from agent.common.time import NS_PER_S
 from deploy.console.arguments import drive_arguments, fleet_arguments, load
-from deploy.console.interrupt import Interrupt
+from deploy.console.interrupt import NOT_STARTED, Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 
 WAITING_MAX: Final = 2000
@@ -33,8 +33,9 @@ def _simulate(options: argparse.Namespace) -> int:
 
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
-        refuse_errors(options, fleet)
+        with interrupt.answered(NOT_STARTED, raises=True):
+            fleet = load(options)
+            refuse_errors(options, fleet)
         folder = run_folder(options, fleet, "simulate")
         watch = Watch(fleet, resolve(fleet))
         view = make_view(quiet=options.quiet, period_s=fleet.fleet.duration_s / 10)

@@ -87,7 +87,10 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from deploy.cluster.choose import check_cluster
-    from deploy.console.interrupt import Interrupt
+    from deploy.console.data_files import ROOT
+    from deploy.console.interrupt import NOT_STARTED, Interrupt
+    from deploy.console.sources import sources_digest
+    from deploy.hosts.artifacts.plugin_files import files_of_plugins
     from deploy.inventory.folders import out_folder
     from deploy.simulate.worker_pool import EngineLost, cores
     from deploy.sweep.folder import SweepFolder, read_digest
@@ -97,26 +100,30 @@ def sweep(options: argparse.Namespace) -> int:
 
     interrupt = Interrupt()
     with interrupt.caught():
-        jobs = cores() if options.jobs is None else options.jobs
-        if jobs < 1:
-            raise SweepError(f"--jobs must be at least 1, got {jobs}")
-        refuse_jobs(options)
-        wait_s = cluster_wait_s(options)
-        check_cluster(options.cluster)
-        timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
-        again, question = _question(options)
-        lacking: FleetError | None = None
-        try:
-            plan = make_plan(question)
-        except FleetError as error:
-            if again is None or options.write is not None:  # that file would lack the plugins' tables
-                raise
-            plan, lacking = make_plan(question, read_digest(again)), error
-        margin = margin_axis(plan, options.margin)
-        if lacking is None:
-            _refuse_errors(options, plan)
-        path = again or out_folder(options.out, plan.cells[0].fleet.name, "sweeps")
-        with SweepFolder(path, question, plan) as folder:
+        with interrupt.answered(NOT_STARTED, raises=True):
+            jobs = cores() if options.jobs is None else options.jobs
+            if jobs < 1:
+                raise SweepError(f"--jobs must be at least 1, got {jobs}")
+            refuse_jobs(options)
+            wait_s = cluster_wait_s(options)
+            check_cluster(options.cluster)
+            timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
+            again, question = _question(options)
+            lacking: FleetError | None = None
+            try:
+                plan = make_plan(question)
+            except FleetError as error:
+                if again is None or options.write is not None:  # that file would lack the plugins' tables
+                    raise
+                plan, lacking = make_plan(question, read_digest(again)), error
+            margin = margin_axis(plan, options.margin)
+            sources = ""
+            if lacking is None:
+                _refuse_errors(options, plan)
+                sources = sources_digest(ROOT, files_of_plugins(plan.cells)[0])
+            path = again or out_folder(options.out, plan.cells[0].fleet.name, "sweeps")
+            folder = SweepFolder(path, question, plan, sources)
+        with folder:
             if options.write is not None:
                 return _write(folder, options.write)
             if lacking is not None and folder.missing:
@@ -263,7 +270,12 @@ def _drive(
         cells = f"{_counted(len(plan.cells), 'cell')}, {plan.repeat} of each{kept}"
         print(f"{_counted(plan.runs, 'run')} ({cells}), {where}, into {folder.path}", file=sys.stderr)
     progress = make_progress(
-        sys.stderr, plan.runs, done, quiet=options.quiet, trouble="unsafe or not settled"
+        sys.stderr,
+        plan.runs,
+        done,
+        quiet=options.quiet,
+        trouble="unsafe or not settled",
+        troubled=sum(not row.good for row in folder.rows.values()),
     )
 
     def go_on() -> bool:

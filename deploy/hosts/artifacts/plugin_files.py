@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +32,25 @@ def plugin_modules(fleet: Fleet) -> tuple[str, ...]:
                 '"package.module:Class"'
             )
     return tuple(sorted({str(reference).partition(":")[0] for reference in used}))
+
+
+def files_of_plugins(fleets: Iterable[Fleet]) -> tuple[dict[str, bytes], list[PluginFilesError]]:
+    """The files of all plugins of these fleets, as of `plugin_files`, and of whom there are none, why.
+
+    Those that are known in this process alone are left out.
+    """
+    references: set[str] = set()
+    for fleet in fleets:
+        references |= {robot.plant for robot in fleet.robots if robot.kind.is_plugin}
+        references |= {fleet.control.law} if fleet.control.law is not None else set()
+    files: dict[str, bytes] = {}
+    lacking: list[PluginFilesError] = []
+    for module in sorted({each.partition(":")[0] for each in references if ":" in each}):
+        try:
+            files |= dict(plugin_files((module,)))
+        except PluginFilesError as error:
+            lacking.append(error)
+    return files, lacking
 
 
 def plugin_files(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:

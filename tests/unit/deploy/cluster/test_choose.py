@@ -95,7 +95,18 @@ def test_workers_are_counted_beside_runs() -> None:
 
 
 @pytest.mark.parametrize(
-    "where", ["", "there", "there:8786", "tcp://there", "tcp://:8786", "http://there:80"]
+    "where",
+    [
+        "",
+        "there",
+        "there:8786",
+        "tcp://there",
+        "tcp://:8786",
+        "http://there:80",
+        "tcp://there:0",
+        "tcp://there:65536",
+        "tcp://there:٣",
+    ],
 )
 def test_anything_else_is_one_line(where: str) -> None:
     with pytest.raises(ClusterOptionError, match=r"must be tcp://HOST:PORT or tls://HOST:PORT of a Dask"):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.console.arguments import InputError
-from deploy.inventory.folders import cache_folder, out_folder, refuse_full
+from deploy.inventory.folders import cache_folder, out_folder, refuse_full, refuse_unwritable
 
 
 def test_a_folder_is_the_one_that_is_named_or_has_the_name_and_the_time() -> None:
@@ -45,3 +45,16 @@ def test_caches_are_where_the_user_keeps_them(monkeypatch: pytest.MonkeyPatch) -
     assert cache_folder("wheels") == Path("/elsewhere/handfast/wheels")
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert cache_folder("wheels") == Path.home() / ".cache/handfast/wheels"
+
+
+def test_a_folder_that_cannot_be_written_into_is_refused_and_nothing_is_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
+    for out in ("new", "new/below", "."):
+        refuse_unwritable(tmp_path / out)
+    for out in ("file", "file/below", "gone/below"):
+        with pytest.raises(InputError, match=r"(file|gone) is no folder: name another one with --out$"):
+            refuse_unwritable(tmp_path / out)
+    with pytest.raises(InputError, match=r"^cannot write into /proc/sys: name another folder"):
+        refuse_unwritable(Path("/proc/sys/there"))  # not even root can
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "gone"]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from deploy.sweep.drawn_figure import runs_at_their_draws
 from deploy.sweep.plan import Plan, make_plan
 from deploy.sweep.run import CRASHED, Row, unfinished
-from tests.unit.deploy.sweep.test_plan import NEVER, ask, made
+from tests.unit.deploy.sweep.asked import NEVER, ask, made
 
 
 def one_field(repeat: int = 5) -> Plan:

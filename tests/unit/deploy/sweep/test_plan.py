@@ -1,11 +1,10 @@
-"""What a sweep asks, what it keeps and what it makes of it; its processes are in tests/process."""
+"""What a sweep asks, and what it makes of its runs; its processes are in tests/process."""
 
 from __future__ import annotations
 
 import copy
 import csv
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,6 @@ from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet, FleetError
 from agent.formation.geometry import start_hands
 from agent.messages.codec import decode
-from deploy.console.arguments import fleet_text
 from deploy.console.data_files import FLEETS
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
@@ -32,40 +30,13 @@ from deploy.sweep.folder import SweepFolder, read_question
 from deploy.sweep.plan import Plan, Question, make_plan
 from deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
 from deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
-from deploy.sweep.varied import Axis, Range, SweepError, parse_axis, parse_over
+from deploy.sweep.varied import Axis, SweepError, parse_axis
 from deploy.verdict.metrics import columns
 from deploy.verdict.run_result import RunResult
+from tests.unit.deploy.sweep.asked import NEVER, ask, fill, made
 
 DELTA = FLEETS / "delta.toml"
 SHORT = "fleet.duration_s=0.5"
-
-
-def ask(*over: str, fleet: str = "delta", **rest: Any) -> Question:
-    path = FLEETS / f"{fleet}.toml"
-    varied = [parse_over(each) for each in over]
-    return Question(
-        str(path),
-        fleet_text(path),
-        axes=tuple(each for each in varied if isinstance(each, Axis)),
-        ranges=tuple(each for each in varied if isinstance(each, Range)),
-        **rest,
-    )
-
-
-def made(plan: Plan, run: int, **numbers: float) -> Row:
-    """A row of a run that was safe and settled, but for what is given."""
-    known = {
-        "settling_time_s": 5.0, "min_distance_m.edge": 0.6, "min_distance_m.any": 0.5,
-        "rms_distance_error_m": 0.25, "final_distance_error_m": 1e-3, "final_tracking_error_m": 1e-2,
-        "age_p50_ms": 20.0, "age_p99_ms": 20.0, "age_max_ms": 40.0,
-    } | numbers  # fmt: skip
-    known = {name: value for name, value in known.items() if np.isfinite(value)}
-    safe, settled = known["min_distance_m.any"] >= 0.22, "settling_time_s" in known
-    verdict, reason = (PASSED, "") if safe and settled else (FAILED, "Something, and\nmore.")
-    return Row(run, plan.run_seed(run), verdict, reason.replace("\n", " "), safe, settled, known, 0.125)
-
-
-NEVER = float("nan")
 
 
 # ---------------------------------------------------------------------- the question
@@ -134,6 +105,7 @@ def test_bad_axis_is_refused_by_name(text: str, says: str) -> None:
         ),
         (ask("robot.2.heading_rad=0..1", random_starts=0.0), "robot.2.heading_rad as well: leave that out"),
         (ask("control.kp=1", repeat=0), "--repeat must be at least 1, got 0"),
+        (ask(random_starts=1e200), "--random-starts: a side of 1e\\+200 m is too long: at most 1e\\+06 m"),
         (ask("control.kp=1,2", repeat=10**6), "2,000,000 runs: at most 1,000,000"),
     ],
 )
@@ -320,159 +292,6 @@ def test_a_run_is_abandoned_when_told() -> None:
         execute(plan, 0, lambda: next(asked))
 
 
-# ---------------------------------------------------------------------- the folder
-
-
-def fill(folder: SweepFolder, runs: range) -> None:
-    for run in runs:
-        folder.add(made(folder.plan, run, **{"settling_time_s": NEVER} if run == 2 else {}))
-
-
-def test_rows_outlive_the_process_and_the_sweep_goes_on(tmp_path: Path) -> None:
-    question = ask("control.kp=0,1", "control.coupling='edge',joint", repeat=2)
-    plan = make_plan(question)
-    with SweepFolder(tmp_path / "new" / "sweep", question, plan) as folder:
-        assert folder.missing == list(plan.order())
-        fill(folder, range(3))
-        folder.add(unfinished(plan, 7, CRASHED, 'its "process", gone', 0.5))
-        rows = dict(folder.rows)
-    with SweepFolder(folder.path, question, plan) as again:
-        assert again.rows == rows
-        assert set(again.missing) == {3, 4, 5, 6}
-        fill(again, range(3, 7))
-        assert not again.missing
-        again.complete()
-    with SweepFolder(folder.path, read_question(folder.path), plan) as third:
-        assert list(third.rows) == list(range(8))
-    table = list(csv.DictReader((folder.path / "results.csv").read_text().splitlines()))
-    assert [row["run"] for row in table] == [str(run) for run in range(8)]
-    assert table[2] | {"seed": ""} == {
-        "run": "2", "control.kp": "0", "control.coupling": "joint", "repeat": "0", "seed": "",
-        "settled": "false", "safe": "true", "settling_time_s": "", "min_distance_m.edge": "0.6",
-        "min_distance_m.any": "0.5", "rms_distance_error_m": "0.25", "final_distance_error_m": "0.001",
-        "final_tracking_error_m": "0.01", "age_p50_ms": "20.0", "age_p99_ms": "20.0", "age_max_ms": "40.0",
-        "verdict": "failed", "reason": "Something, and more.", "wall_s": "0.125",
-    }  # fmt: skip
-    assert table[7]["reason"] == 'its "process", gone'
-
-
-@pytest.mark.parametrize("lost", [1, 30, 10_000])
-def test_a_row_that_was_cut_off_is_driven_again(tmp_path: Path, lost: int) -> None:
-    question = ask("control.kp=0,1", repeat=2)
-    plan = make_plan(question)
-    with SweepFolder(tmp_path, question, plan) as folder:
-        fill(folder, range(4))
-    results = tmp_path / "results.csv"
-    content = results.read_bytes()
-    results.write_bytes(content[: max(len(content) - lost, 5)])
-    with SweepFolder(tmp_path, question, plan) as folder:
-        assert folder.missing == ([3] if lost < 10_000 else [0, 2, 1, 3])
-        fill(folder, range(3, 4))
-    if lost < 10_000:
-        assert results.read_bytes() == content  # nothing is left of the part that was there
-
-
-@pytest.mark.parametrize(
-    ("other", "says"),
-    [
-        (ask("control.kp=0,2", repeat=2), r"--over is control\.kp=0,2, was control\.kp=0,1"),
-        (ask("control.kp=0,1", repeat=3), "--repeat is 3, was 2"),
-        (ask("control.kp=0,1", repeat=2, overrides=("fleet.seed=9",)), "the seed is 9, was 0"),
-        (ask("control.kp=0,1", repeat=2, random_starts=4.0), r"--random-starts is 4\.0, was not given"),
-        (ask("control.kp=0,1", repeat=2, law="edge"), "--law is edge, was not given"),
-        (
-            ask("control.kp=0,1", repeat=2, overrides=(SHORT,)),
-            r"--set is fleet\.duration_s=0\.5, was not given",
-        ),
-        (ask("control.kp=0,1", repeat=2, fleet="pair"), "the fleet is pair, was delta"),
-        (
-            replace(
-                ask("control.kp=0,1", repeat=2),
-                text=fleet_text(DELTA).replace("duration_s = 30", "duration_s = 31"),
-            ),
-            "the fleet file is another one",
-        ),
-    ],
-)
-def test_a_folder_of_another_sweep_is_refused(tmp_path: Path, other: Question, says: str) -> None:
-    question = ask("control.kp=0,1", repeat=2)
-    with SweepFolder(tmp_path, question, make_plan(question)) as folder:
-        fill(folder, range(1))
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(SweepError, match=f"holds another sweep: .*{says}"):
-        SweepFolder(tmp_path, other, make_plan(other))
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_a_folder_that_is_in_use_or_holds_something_else_is_refused(tmp_path: Path) -> None:
-    question = ask("control.kp=0,1")
-    plan = make_plan(question)
-    with (
-        SweepFolder(tmp_path / "a", question, plan),
-        pytest.raises(SweepError, match="another sweep is at work"),
-    ):
-        SweepFolder(tmp_path / "a", question, plan)
-    (tmp_path / "b").mkdir()
-    (tmp_path / "b" / "thesis.tex").touch()
-    with pytest.raises(SweepError, match="b is not empty and holds no sweep"):
-        SweepFolder(tmp_path / "b", question, plan)
-    with pytest.raises(SweepError, match="cannot write the sweep's folder"):
-        SweepFolder(tmp_path / "b" / "thesis.tex" / "out", question, plan)
-
-
-def test_a_folder_that_is_removed_ends_the_sweep_with_its_next_row(tmp_path: Path) -> None:
-    question = ask("control.kp=0,1")
-    with SweepFolder(tmp_path / "gone", question, make_plan(question)) as folder:
-        fill(folder, range(1))
-        shutil.rmtree(tmp_path / "gone")
-        with pytest.raises(SweepError, match=r"^cannot write .*results\.csv: it has been removed$"):
-            fill(folder, range(1, 2))
-        with pytest.raises(SweepError, match="cannot write"):
-            folder.complete()
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("1,1,0,", "9,1,0,"),
-        ("1,1,0,", "1,0,0,"),
-        (",true,", ",yes,"),
-        (",0.5,", ",,,0.5"),
-        (",0.5,", ",half,"),
-        (",0.5,", ",nan,"),
-        (",passed,", ",flown,"),
-    ],
-)
-def test_a_row_that_is_not_of_the_sweep_is_refused(tmp_path: Path, old: str, new: str) -> None:
-    question = ask("control.kp=0,1")
-    with SweepFolder(tmp_path, question, make_plan(question)) as folder:
-        fill(folder, range(1, 2))
-    results = tmp_path / "results.csv"
-    assert old in results.read_text()
-    results.write_text(results.read_text().replace(old, new))
-    with pytest.raises(SweepError, match=r"results\.csv, line 2: not a row of this sweep"):
-        SweepFolder(tmp_path, question, make_plan(question))
-
-
-@pytest.mark.parametrize(
-    ("content", "is_ours"), [("run,control.kp,re", True), ("", True), ("my notes", False)]
-)
-def test_of_a_first_line_that_was_cut_off_a_heading_is_made_anew(
-    tmp_path: Path, content: str, is_ours: bool
-) -> None:
-    question = ask("control.kp=0,1")
-    with SweepFolder(tmp_path, question, make_plan(question)):
-        whole = (tmp_path / "results.csv").read_text()
-    (tmp_path / "results.csv").write_text(content)
-    if is_ours:
-        with SweepFolder(tmp_path, question, make_plan(question)):
-            assert (tmp_path / "results.csv").read_text() == whole
-    else:
-        with pytest.raises(SweepError, match="the first line is not this sweep's heading"):
-            SweepFolder(tmp_path, question, make_plan(question))
-        assert (tmp_path / "results.csv").read_text() == content
-
-
 @pytest.mark.parametrize("written", ["10..200%", "50%..200%", "0..200%"])
 def test_an_end_of_a_range_that_cannot_be_is_said_as_it_was_typed(written: str) -> None:
     with pytest.raises(FleetError) as refused:
@@ -603,35 +422,6 @@ def test_summaries_hold_every_cell() -> None:
         "field": "faults.delay", "with": {"control.kp": "2"}, "largest": "0", "failed": "1s",
         "trouble": "1 of 2 not settled",
     }  # fmt: skip
-
-
-# ---------------------------------------------------------------------- folders of others
-
-
-def test_the_folder_of_another_fleet_names_the_fleets(tmp_path: Path) -> None:
-    question = ask("control.kp=0,1", repeat=2)
-    with SweepFolder(tmp_path / "out", question, make_plan(question)):
-        pass
-    other = ask("control.kp=0,1", fleet="pair", repeat=3)
-    with pytest.raises(SweepError, match=r"the fleet is pair, was delta; --repeat is 3, was 2"):
-        SweepFolder(tmp_path / "out", other, make_plan(other))
-
-
-def test_a_place_that_is_a_file_is_said_to_be_one(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    with pytest.raises(SweepError, match=r"out is a file: name a folder"):
-        SweepFolder(tmp_path / "out", ask(), make_plan(ask()))
-
-
-def test_what_was_asked_and_then_edited_is_refused(tmp_path: Path) -> None:
-    question = ask(repeat=40)
-    with SweepFolder(tmp_path, question, make_plan(question)):
-        pass
-    file = tmp_path / "sweep.toml"
-    file.write_text(file.read_text().replace("repeat = 40", "repeat = 45"))
-    again = read_question(tmp_path)
-    with pytest.raises(SweepError, match=r"sweep\.toml has been changed: .* makes 45 runs, .* runs = 40"):
-        SweepFolder(tmp_path, again, make_plan(again))
 
 
 # ---------------------------------------------------------------------- pictures
