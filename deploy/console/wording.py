@@ -114,7 +114,7 @@ def clock_behind(by_s: float) -> str:
     return f"set this machine's clock: it is {by} behind the robots'"
 
 
-def error_text(error: Exception, before: str = "") -> str:
+def error_text(error: BaseException, before: str = "") -> str:
     """An exception on one line, with the place that it comes from."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""

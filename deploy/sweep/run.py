@@ -94,7 +94,7 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
         )
     except Abandoned:
         raise
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:  # a Ctrl-C is not sent here: a plugin has raised it
         return unfinished(plan, run, CRASHED, error_text(error), time.perf_counter() - begun)
 
 

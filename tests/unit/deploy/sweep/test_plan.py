@@ -269,14 +269,15 @@ def test_a_formation_far_behind_its_course_has_not_settled() -> None:
     assert (row.safe, row.settled, row.good, row.verdict) == (True, False, False, FAILED)
 
 
-def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kind", [ZeroDivisionError, KeyboardInterrupt])
+def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]) -> None:
     def broken(*_: object) -> None:
-        raise ZeroDivisionError("some\nthing")
+        raise kind("some\nthing")
 
     monkeypatch.setattr(judged, "Simulation", broken)
     row = execute(make_plan(ask(repeat=2)), 1)
     assert (row.run, row.verdict, row.safe, row.settled, row.numbers) == (1, CRASHED, None, None, {})
-    assert row.reason.startswith("ZeroDivisionError: some thing (test_plan.py, line ")
+    assert row.reason.startswith(f"{kind.__name__}: some thing (test_plan.py, line ")
 
 
 def test_a_start_without_room_is_a_row() -> None:
