@@ -69,7 +69,6 @@ BY_OTHERS: Final = {
         deploy/session/resume
         deploy/session/session
         deploy/simulate/worker_pool
-        deploy/sweep/folder
         plant/server
     """,
     "what it does with the others matters: tests of the whole package, of properties, of fleets": """

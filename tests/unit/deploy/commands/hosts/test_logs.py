@@ -308,7 +308,7 @@ def test_who_reads_a_runs_logs_may_go(
     os.close(reader)
     with of_run(folder), os.fdopen(writer, "w", buffering=1) as nobody:
         monkeypatch.setattr(sys, "stdout", nobody)
-        assert main(["logs", "pair-here", *more]) == 1
+        assert main(["logs", "pair-here", *more]) == 141
     assert capsys.readouterr().err == ""
 
 

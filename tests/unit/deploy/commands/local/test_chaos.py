@@ -134,7 +134,10 @@ def test_bad_input(arguments: list[str], says: str, capsys: pytest.CaptureFixtur
 def test_a_folder_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(["chaos", "--seed", "7", "--count", "1", "--out", str(tmp_path / "file" / "here")]) == 2
-    assert "cannot write" in capsys.readouterr().err
+    assert (
+        capsys.readouterr().err
+        == f"handfast: {tmp_path / 'file'} is no folder: name another one with --out\n"
+    )
 
 
 def test_a_scenario_whose_process_died_is_a_failure() -> None:
