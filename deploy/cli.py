@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from errno import ENOSPC
+from errno import EIO, ENOSPC
 from importlib import import_module
 from importlib.machinery import PathFinder
 from os.path import dirname
@@ -189,9 +189,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         _write_out()
         return UNREAD
     except OSError as error:
-        if error.errno != ENOSPC:
+        if error.errno not in (ENOSPC, EIO):
             raise
         _write_out()
+        if error.errno == EIO:  # its terminal is closed
+            return UNREAD
         print(f"handfast: cannot write: {error.strerror}", file=sys.stderr)
         return FAILED
     except Error as error:

@@ -36,11 +36,11 @@ class PassingLaw:
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, module: str) -> None:
         self.module, self.reference = module, f"{module}:Gone"
-        self._path, self._monkeypatch = folder / f"{module}.py", monkeypatch
+        self._path = folder / f"{module}.py"
         self._path.write_text(_TEXT, encoding="utf-8")
         monkeypatch.syspath_prepend(str(folder))
 
     def leave(self) -> None:
         """It is not installed any more."""
         self._path.unlink()
-        self._monkeypatch.delitem(sys.modules, self.module)
+        del sys.modules[self.module]  # for good: the next law of this name has another file

@@ -105,7 +105,9 @@ class Interrupt:
             KeyboardInterrupt: there was one before, which was swallowed (`remembered`).
         """
         is_main = threading.current_thread() is threading.main_thread()
-        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if is_main else ()
+        numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP] if is_main else []
+        if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # of `nohup`: it goes on without its terminal
+            numbers = numbers[:-1]
         before = {number: signal.signal(number, self._on_signal) for number in numbers}
         try:
             if _unanswered:

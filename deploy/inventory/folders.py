@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
 
@@ -34,12 +35,21 @@ def out_folder(out: str | Path | None, name: str, above: str = "runs") -> Path:
 
 
 def refuse_unwritable(out: Path) -> None:
-    """Refuses a folder that can be neither made nor written into, and makes nothing; raises `InputError`."""
-    place = next((each for each in (out, *out.absolute().parents) if os.path.lexists(each)), Path("/"))
-    if not place.is_dir():
-        raise InputError(f"{place} is no folder: name another one with --out")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise InputError(f"cannot write into {place}: name another folder with --out")
+    """Refuses a folder that can be neither made nor written into, and leaves none; raises `InputError`."""
+    path = out.absolute()
+    new = [each for each in (path, *path.parents) if not os.path.lexists(each)]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        writable = os.access(path, os.W_OK | os.X_OK)
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
+        raise InputError(f"cannot make the folder {out}: {why}: name another one with --out") from None
+    finally:
+        for each in new:
+            with suppress(OSError):
+                each.rmdir()
+    if not writable:
+        raise InputError(f"cannot write into {out}: name another folder with --out")
 
 
 def refuse_full(out: Path) -> None:

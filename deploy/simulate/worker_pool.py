@@ -56,11 +56,16 @@ class Abandoned(Exception):
     """A run that was asked to end before its time."""
 
 
+class Refused(Error):
+    """A process that is not to drive any run of this work; the text is one line."""
+
+
 class Work(Protocol[Result]):
     """Runs that have numbers. Each worker gets a copy."""
 
     def execute(self, number: int, go_on: GoOn) -> Result:
-        """Drives one run; raises `Abandoned` when `go_on`, asked now and then, says no, and nothing else."""
+        """Drives one run; raises `Abandoned` when `go_on`, asked now and then, says no, `Refused` when none
+        is to be driven here, and nothing else."""
         ...
 
     def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> Result:
@@ -113,7 +118,10 @@ def _work(connection: Connection, work: Work[Any]) -> None:
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, Abandoned):
         connection.send(_READY)
         while True:
-            connection.send(work.execute(connection.recv(), go_on))
+            try:
+                connection.send(work.execute(connection.recv(), go_on))
+            except Refused as refused:
+                connection.send(refused)
     os.killpg(0, signal.SIGKILL)
 
 
@@ -204,7 +212,7 @@ class Pool(Generic[T]):
         """What came of `runs`, in whatever order they end, until all are done or `go_on` says no.
 
         Raises:
-            PoolError: a worker does not come up.
+            PoolError: a worker does not come up, or has to refuse its run.
         """
         queue = deque(runs)
         while go_on():
@@ -230,6 +238,8 @@ class Pool(Generic[T]):
             return ()
         if received:
             worker.run = None
+            if isinstance(received[0], Refused):
+                raise PoolError(str(received[0]))
             return received
         death, run, took_s = worker.death(), worker.run, time.monotonic() - worker.begun_s
         self._end(worker)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.passing_law import PassingLaw
 from tests.process.harness import Command, children, wait_for
 
 QUICK = ("--duration", "1s", "--over", "control.kp=0,1", "--over", "control.c2=0.3,0.6,1.2", "--no-check")
@@ -194,6 +195,31 @@ def test_a_run_that_does_not_end_and_one_that_dies_are_rows(tmp_path: Path) -> N
     first, second = table(tmp_path / "late" / "out")
     assert (first["verdict"], second["verdict"]) == ("failed", "timed out")
     assert second["reason"] == "not done within 3 s (--timeout)"
+
+
+def test_rows_are_of_the_files_that_the_sweep_began_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker that takes the place of another finds files that have been edited: it drives nothing."""
+    law = PassingLaw(tmp_path, monkeypatch, "law_that_changes")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    arguments = ("pair", "--law", law.reference, "--over", f"fleet.duration_s=1,{ENDLESS}", "--no-check")
+    file = tmp_path / "law_that_changes.py"
+    written = file.read_text()
+    with Command(tmp_path / "in", "sweep", *arguments, "--jobs", "1", "--out", "out") as command:
+        wait_for_rows(command, tmp_path / "in" / "out", 1)
+        file.write_text(written + "\n")
+        os.kill(worker_at_work(command), signal.SIGKILL)
+        assert command.wait(60.0) == 2, command.told()
+        assert command.err.endswith(
+            "handfast: Python files of handfast, or of a plugin, have changed since this command began\n"
+        )
+    assert len(table(tmp_path / "in" / "out")) == 1
+    again = sweep(tmp_path / "in", "out", status=2)
+    assert "the 1 of 2 runs that are done were driven by other Python files" in again.err
+    file.write_text(written)
+    sweep(tmp_path / "in", "out", "--timeout", "3s")
+    assert [row["verdict"] for row in table(tmp_path / "in" / "out")] == ["failed", "timed out"]
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def chaos(options: argparse.Namespace) -> int:
                     left.discard(driven.seed)
                     tally.add(driven)
                     if driven.outcome.violations:
-                        progress.say(_failure(driven, _keep(out, driven)))
+                        progress.say(_failure(driven, _kept(out, driven)))
                     progress.add(trouble=bool(driven.outcome.violations))
             except EngineLost as error:
                 lost = str(error)
@@ -204,6 +204,14 @@ def _keep(out: Path, driven: Driven) -> Path:
     return path
 
 
+def _kept(out: Path, driven: Driven) -> str:
+    """Where a scenario that failed is, or why it is nowhere: its seed draws it again."""
+    try:
+        return str(_keep(out, driven))
+    except InputError as error:
+        return str(error)
+
+
 def _write(path: Path, text: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -212,7 +220,7 @@ def _write(path: Path, text: str) -> None:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from None
 
 
-def _failure(driven: Driven, path: Path) -> str:
+def _failure(driven: Driven, where: str) -> str:
     first, *more = driven.outcome.violations
     others = f" ({len(more)} more)" if more else ""
-    return f"seed {driven.seed}: {first.oracle}: {first.message}{others} -> {path}"
+    return f"seed {driven.seed}: {first.oracle}: {first.message}{others} -> {where}"

@@ -26,8 +26,10 @@ from deploy.console.arguments import (
 )
 
 if TYPE_CHECKING:
+    from deploy.simulate.worker_pool import Work
     from deploy.sweep.folder import SweepFolder
     from deploy.sweep.plan import Plan, Question
+    from deploy.sweep.run import Row
 
 TIMEOUT: Final = "10min"
 ROWS_MAX: Final = 40
@@ -87,10 +89,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from deploy.cluster.choose import check_cluster
-    from deploy.console.data_files import ROOT
+    from deploy.cluster.same_program import program_digest
     from deploy.console.interrupt import NOT_STARTED, Interrupt
-    from deploy.console.sources import sources_digest
-    from deploy.hosts.artifacts.plugin_files import files_of_plugins
     from deploy.inventory.folders import out_folder
     from deploy.simulate.worker_pool import EngineLost, cores
     from deploy.sweep.folder import SweepFolder, read_digest
@@ -120,7 +120,7 @@ def sweep(options: argparse.Namespace) -> int:
             sources = ""
             if lacking is None:
                 _refuse_errors(options, plan)
-                sources = sources_digest(ROOT, files_of_plugins(plan.cells)[0])
+                sources = program_digest(plan.cells)
             path = again or out_folder(options.out, plan.cells[0].fleet.name, "sweeps")
             folder = SweepFolder(path, question, plan, sources)
         with folder:
@@ -130,7 +130,7 @@ def sweep(options: argparse.Namespace) -> int:
                 raise lacking
             lost = ""
             try:
-                _drive(folder, jobs, timeout_s, wait_s, interrupt, options)
+                _drive(folder, sources, jobs, timeout_s, wait_s, interrupt, options)
             except EngineLost as error:
                 lost = str(error)
             if folder.missing:
@@ -249,6 +249,7 @@ def _counted(number: int, what: str) -> str:
 
 def _drive(
     folder: SweepFolder,
+    sources: str,
     jobs: int,
     timeout_s: float,
     wait_s: float | None,
@@ -257,6 +258,7 @@ def _drive(
 ) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
     from deploy.cluster.choose import make_engine
+    from deploy.cluster.same_program import SameProgram
     from deploy.console.progress import make_progress
     from deploy.sweep.run import Runs
 
@@ -281,8 +283,11 @@ def _drive(
     def go_on() -> bool:
         return bool(interrupt.count == 0)
 
+    runs: Work[Row] = Runs(plan)
+    if options.cluster is None:  # of a cluster's workers each is looked at before it gets a run
+        runs = SameProgram(runs, sources, plan.cells)
     engine = make_engine(
-        options.cluster, Runs(plan), jobs, timeout_s, progress, plan.cells, go_on=go_on, wait_s=wait_s
+        options.cluster, runs, jobs, timeout_s, progress, plan.cells, go_on=go_on, wait_s=wait_s
     )
     with progress, engine:
         for row in engine.results(missing, go_on):

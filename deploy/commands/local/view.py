@@ -224,7 +224,11 @@ def _serve(options: argparse.Namespace, address: str, serving: Coroutine[Any, An
 
     from deploy.view.browser import open_browser
 
-    print(f"{address}  (Ctrl-C ends it)", flush=True)
+    try:
+        print(f"{address}  (Ctrl-C ends it)", flush=True)
+    except OSError:  # nobody reads it
+        serving.close()
+        raise
     if options.browser:
         open_browser(address)
     with suppress(KeyboardInterrupt), as_python_does():

@@ -93,9 +93,9 @@ def _drive(options: argparse.Namespace) -> int:
     from deploy.drive.attached import refused
 
     options.given_ns = time.time_ns()
+    fleet, driven = _fleets(options)
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet, driven = _fleets(options)
         _refuse_what_cannot_be(options, driven)
         refuse_errors(options, driven)
         _warn_of_certificates(options, fleet)

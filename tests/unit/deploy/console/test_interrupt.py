@@ -138,3 +138,21 @@ def test_the_exit_status_is_one_wherever_it_came(tmp_path: Path) -> None:
         check=False,
     )
     assert (done.returncode, done.stderr) == (130, "")
+
+
+@pytest.mark.parametrize("inherited", [signal.SIG_IGN, signal.SIG_DFL])
+def test_who_ignores_a_hang_up_goes_on(inherited: signal.Handlers) -> None:
+    before = signal.signal(signal.SIGHUP, inherited)  # `nohup` does
+    try:
+        with Interrupt().caught() as interrupt:
+            if inherited is signal.SIG_IGN:
+                signal.raise_signal(signal.SIGHUP)
+                assert interrupt.count == 0
+            signal.raise_signal(signal.SIGTERM)
+            assert interrupt.count == 1
+            if inherited is signal.SIG_DFL:
+                signal.raise_signal(signal.SIGHUP)
+                assert interrupt.count == 2
+        assert signal.getsignal(signal.SIGHUP) is inherited
+    finally:
+        signal.signal(signal.SIGHUP, before)

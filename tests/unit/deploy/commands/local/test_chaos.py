@@ -134,10 +134,20 @@ def test_bad_input(arguments: list[str], says: str, capsys: pytest.CaptureFixtur
 def test_a_folder_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(["chaos", "--seed", "7", "--count", "1", "--out", str(tmp_path / "file" / "here")]) == 2
-    assert (
-        capsys.readouterr().err
-        == f"handfast: {tmp_path / 'file'} is no folder: name another one with --out\n"
-    )
+    assert capsys.readouterr().err.startswith(f"handfast: cannot make the folder {tmp_path}/file/here: ")
+
+
+def test_a_failure_that_cannot_be_kept_is_said_all_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", is_full)
+    assert main(["chaos", "--seed", "6", "--count", "3", "--out", str(tmp_path)]) == 1
+    told = capsys.readouterr()
+    assert f"seed 7: {TOO_CLOSE.oracle}: {TOO_CLOSE.message} (1 more) -> cannot write {tmp_path}/" in told.err
+    assert told.out.splitlines()[-1].startswith("3 scenarios, 2 violations")
 
 
 def test_a_scenario_whose_process_died_is_a_failure() -> None:
