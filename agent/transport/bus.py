@@ -321,8 +321,12 @@ class _Links:
         self._watch.give_up(self._sockets.look() or ())
 
     def reopen(self, endpoint: str) -> bool:
-        """See `LinkWatch.reopen`."""
-        return self._watch.reopen(endpoint, self._sockets.look() or ())
+        """See `LinkWatch.reopen`. A link that is new is not known before the next look at all: where this one
+        is not, that look comes now."""
+        done = self._watch.reopen(endpoint, self._sockets.look() or ())
+        if not done:
+            self._whole_due_ns = self.due_ns = 0
+        return done
 
 
 class Bus:
