@@ -19,6 +19,7 @@ from tests.process.harness import Command, wait_for
         (("sweep",), signal.SIGTERM),
         (("run",), signal.SIGINT),
         (("up",), signal.SIGINT),
+        (("drive",), signal.SIGINT),
     ],
 )
 def test_it_can_be_interrupted(tmp_path: Path, words: tuple[str, ...], number: signal.Signals) -> None:
