@@ -28,8 +28,8 @@ RUNS_MAX: Final = 1_000_000
 RANGES_MAX: Final = 6
 """Fields that may be drawn: every combination of their ends is read and checked."""
 SIDE_M: Final = 4.0
-SIDE_MAX_M: Final = 1e6
 """Side of the square of random starts for six robots; others have as much room each."""
+SIDE_MAX_M: Final = 1e6
 GAP_M: Final = 0.3
 GAP_PER_SAFE: Final = 1.25
 """Random starts are at least this times the safe distance apart (and `GAP_M`)."""

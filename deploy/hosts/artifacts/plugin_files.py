@@ -24,14 +24,14 @@ def plugin_modules(fleet: Fleet) -> tuple[str, ...]:
     Raises:
         PluginFilesError: one of them is known in this process alone.
     """
-    used = {robot.plant for robot in fleet.robots if robot.kind.is_plugin} | {fleet.control.law} - {None}
+    used = _references(fleet)
     for reference in used:
-        if reference is not None and ":" not in reference:
+        if ":" not in reference:
             raise PluginFilesError(
                 f"{reference}: this class is known in this process alone: robots' computers need it as "
                 '"package.module:Class"'
             )
-    return tuple(sorted({str(reference).partition(":")[0] for reference in used}))
+    return tuple(sorted({reference.partition(":")[0] for reference in used}))
 
 
 def files_of_plugins(fleets: Iterable[Fleet]) -> tuple[dict[str, bytes], list[PluginFilesError]]:
@@ -39,10 +39,7 @@ def files_of_plugins(fleets: Iterable[Fleet]) -> tuple[dict[str, bytes], list[Pl
 
     Those that are known in this process alone are left out.
     """
-    references: set[str] = set()
-    for fleet in fleets:
-        references |= {robot.plant for robot in fleet.robots if robot.kind.is_plugin}
-        references |= {fleet.control.law} if fleet.control.law is not None else set()
+    references = set[str]().union(*map(_references, fleets))
     files: dict[str, bytes] = {}
     lacking: list[PluginFilesError] = []
     for module in sorted({each.partition(":")[0] for each in references if ":" in each}):
@@ -82,6 +79,12 @@ def plugin_files(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
                     "package of its own"
                 )
             yield name, path.read_bytes()
+
+
+def _references(fleet: Fleet) -> set[str]:
+    """The plugins that a fleet names, as its file gives them."""
+    laws = set() if fleet.control.law is None else {fleet.control.law}
+    return laws | {robot.plant for robot in fleet.robots if robot.kind.is_plugin}
 
 
 def _whole(module: str) -> tuple[Path, Path]:
