@@ -27,8 +27,7 @@ from agent.node import inbox_size
 from agent.security.access_control import Security
 from agent.transport.batches import Batches
 from agent.transport.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
-from agent.transport.tcp_linger import Lingering
-from agent.transport.tcp_sockets import Calm, TcpSockets
+from agent.transport.tcp_links import TcpLinks
 
 Mode = Literal["peer", "client", "router"]
 
@@ -62,8 +61,6 @@ RETRY_MS: Final = (50, 150)
 OPEN_TIMEOUT_MS: Final = 10_000
 """Zenoh's own limit for opening a link, which may leave one that is never read from where it runs out
 (`agent.transport.link_watch`, which is sooner): for what has no socket yet, as a name that is looked for."""
-WHOLE_LOOK_NS: Final = 10 * NS_PER_S
-"""So often links are looked at one by one though none seems to have changed."""
 FLUSH_S: Final = 0.02
 """So long Zenoh's thread has to send what was published last, before a process ends."""
 PRESENCE_SIZE: Final = 4096
@@ -286,49 +283,6 @@ def is_opening() -> bool:
     return any(thread.is_alive() for thread in _OPENING)
 
 
-class _Links:
-    """The links of one bus, to be looked at when it is time to. What `look` gives: see `LinkWatch.look`."""
-
-    def __init__(self, watch: LinkWatch) -> None:
-        self._watch, self._sockets, self._lingering, self._calm = watch, TcpSockets(), Lingering(), Calm()
-        self._whole_due_ns = self.due_ns = 0
-
-    def look(self, now_ns: int) -> list[str]:
-        """Looks at all links now. Mostly nothing has changed, which a few system calls tell."""
-        watch = self._watch
-        if now_ns < self._whole_due_ns and self._calm.lasts():
-            watch.still_calm(now_ns)
-            self.due_ns = now_ns + (SOON_NS if self._calm.waits else watch.period_ns)
-            return []
-        self._whole_due_ns = now_ns + WHOLE_LOOK_NS
-        found, deaf = self._sockets.look(), []
-        if found is not None:
-            self._lingering.end(found)
-            deaf = watch.look(found, now_ns)
-            if watch.calm is not None and self._lingering.is_done:
-                self._calm.begin(watch.calm)
-            else:
-                self._calm.end()
-        self.due_ns = now_ns + watch.period_ns
-        return deaf
-
-    def look_at_opening(self) -> None:
-        """Looks at them while the first of them is being opened."""
-        self._watch.look(self._sockets.look() or (), time.monotonic_ns())
-
-    def give_up(self) -> None:
-        """See `LinkWatch.give_up`."""
-        self._watch.give_up(self._sockets.look() or ())
-
-    def reopen(self, endpoint: str) -> bool:
-        """See `LinkWatch.reopen`. A link that is new is not known before the next look at all: where this one
-        is not, that look comes now."""
-        done = self._watch.reopen(endpoint, self._sockets.look() or ())
-        if not done:
-            self._whole_due_ns = self.due_ns = 0
-        return done
-
-
 class Bus:
     """One process's place on the bus. A context manager: a session that stays open hangs the interpreter.
 
@@ -374,7 +328,7 @@ class Bus:
         self._sessions: list[Any] = []
         self._near_keys = near
         self._robots = robots
-        self._links = _Links(
+        self._links = TcpLinks(
             LinkWatch(listen, [*connect, *routers], link_timeout_s, _open_links, one_of=routers)
         )
         self._were_deaf: list[str] = []
@@ -583,7 +537,7 @@ class Router:
         lease_ms: int = LEASE_MS,
     ) -> None:
         self._session = _open("router", listen, connect, security, lease_ms=lease_ms)
-        self._links = _Links(LinkWatch(listen, connect, link_timeout_s, _open_links))
+        self._links = TcpLinks(LinkWatch(listen, connect, link_timeout_s, _open_links))
 
     def __enter__(self) -> Router:
         return self

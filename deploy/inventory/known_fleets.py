@@ -195,7 +195,8 @@ def meant(what: str) -> list[KnownFleet]:
     if path.is_file():
         return _of_file(path)
     if path.suffix == ".toml" or len(path.parts) > 1:
-        raise NotRunningError(f"{show(what)[1:-1]}: there is no such file{_those()}")
+        lacks = "it is neither a file nor a folder" if path.exists() else "there is no such file"
+        raise NotRunningError(f"{show(what)[1:-1]}: {lacks}{_those()}")
     found = known(what)
     if not found and what.isdecimal():
         found = _with_run(lambda run: str(run.pid) == what)

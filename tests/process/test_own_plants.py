@@ -98,6 +98,7 @@ def test_in_simulate_they_form_up_and_slip(tmp_path: Path) -> None:
     assert read_run(tmp_path / "out").fleet.robot(1).kind.is_plugin, "the recording reads it back"
 
 
+@pytest.mark.alone  # its verdict is on six robots, not on what else a machine has to do
 def test_in_run_each_is_a_process_and_stands_where_it_was_after_a_restart(tmp_path: Path) -> None:
     (tmp_path / "restart.toml").write_text(
         '[[faults.rule]]\nname = "again"\nrobot = 2\nrestart = "plant"\nat = 4\n'
