@@ -142,6 +142,13 @@ def test_nothing_of_the_kind_runs(tmp_path: Path, what: str, says: str) -> None:
     assert str(refused.value).startswith(says)
 
 
+def test_a_pipe_is_no_fleet(tmp_path: Path) -> None:
+    """Nor is it read: nobody may ever write into it."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(NotRunningError, match=r"pipe: it is neither a file nor a folder; no fleet runs here"):
+        find(str(tmp_path / "pipe"))
+
+
 def test_a_bundled_fleet_that_runs_elsewhere_is_found_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
