@@ -6,8 +6,15 @@ is over, r_old and r_new the desired motions before and after,
     r_d = r_old + S (r_new - r_old),    S(s) = 10 s^3 - 15 s^4 + 6 s^5    (M1)
 
 S' and S'' are zero at both ends, so position, velocity and acceleration are continuous; r_old may be in a
-blend as well. All this is a function of the missions and the time: robots that have the same missions agree,
-and one that missed some agrees with the others as soon as the blend of the last one is over.
+blend as well. Where many blends are within one another, what is left of them at that time, e = r_old - r,
+with r the motion of the latest of their missions, dies away until the last of them were over, at T:
+
+    r_old = r + e A(s) + T e' B(s) + T^2 e'' C(s),    A = 1 - S,    B = s - 6 s^3 + 8 s^4 - 3 s^5,
+    C = (s^2 - 3 s^3 + 3 s^4 - s^5) / 2    (M2)
+
+which is continuous likewise, and they need not be remembered. All this is a function of the missions and the
+time: robots that have the same missions agree, and one that missed some agrees with the others as soon as the
+blend of the last one is over.
 
 Lengths in m, W; times in ns of the wall clock.
 """
@@ -30,8 +37,13 @@ from agent.messages.types import TIME_NS_MAX, Mission
 
 LEAVE_FADE_NS: Final = 500_000_000
 """Within which the edges of a robot that leaves lose their weight: it brakes, and is not waited for."""
-_SEGMENTS_MAX: Final = 8  # blends of missions before these are over
+WITHIN_MAX: Final = 8
+"""So many blends may be within one another: of more, what is left of them dies away (M2)."""
+KEPT_MAX: Final = 2 * WITHIN_MAX
+"""So many segments are remembered: twice as many as one in force may come from, for those still to come."""
 _INSTANTS_MAX: Final = 64
+_Three = tuple[float, float, float]
+_Shape = tuple[_Three, _Three, _Three]
 
 
 class Edge(NamedTuple):
@@ -75,6 +87,13 @@ class Instant:
         self.rate: Final = rate
         self.bend: Final = bend
 
+    def latest(self, robot: int) -> Sample | None:
+        """Of a robot that has a place, or had one before and goes on by that; None for any other."""
+        at: Instant | None = self
+        while at is not None and robot not in at.offsets:
+            at = at.before
+        return None if at is None else at.motion(robot)
+
     def motion(self, robot: int) -> Sample:
         """Of a robot that has a place, which is to be asked first (``robot in offsets``)."""
         dx, dy = self.offsets[robot]
@@ -96,16 +115,60 @@ class Instant:
         )
 
 
+class _Settling(Instant):
+    """The motion by a plan, and what is left of blends before it (M2).
+
+    Args:
+        left: of each robot's motion when they were left: position, velocity and acceleration from the plan's.
+        shape: A, T B and T^2 C, and their first and second derivatives by time.
+    """
+
+    __slots__ = "left", "shape"
+
+    def __init__(
+        self, sample: Sample, offsets: dict[int, Vector], left: dict[int, Sample], shape: _Shape
+    ) -> None:
+        super().__init__(sample, offsets)
+        self.left: Final = left
+        self.shape: Final[_Shape] = shape
+
+    def motion(self, robot: int) -> Sample:
+        x, y, vx, vy, ax, ay = super().motion(robot)
+        ex, ey, evx, evy, eax, eay = self.left[robot]
+        (a, b, c), (da, db, dc), (dda, ddb, ddc) = self.shape
+        return (
+            x + a * ex + b * evx + c * eax,
+            y + a * ey + b * evy + c * eay,
+            vx + da * ex + db * evx + dc * eax,
+            vy + da * ey + db * evy + dc * eay,
+            ax + dda * ex + ddb * evx + ddc * eax,
+            ay + dda * ey + ddb * evy + ddc * eay,
+        )
+
+
+class _Left(NamedTuple):
+    """What is left of blends when they are not followed any more: of the motion of each member
+    (`_Settling`), and of its edges (`Reference._weighted`)."""
+
+    motion: dict[int, Sample]
+    edges: dict[int, dict[int, _Three]]
+
+
 class _Segment:
-    """One plan, from when it is taken over until the next one is."""
+    """One plan, from when it is taken over until the next one is.
 
-    __slots__ = ("_edges", "begin_ns", "blend_ns", "leave_ns", "mark", "offsets", "plan")
+    Args:
+        left: what it is blended from; None for the motion by the segment before.
+    """
 
-    def __init__(self, plan: Plan, begin_ns: int, blend_ns: int) -> None:
+    __slots__ = ("_edges", "begin_ns", "blend_ns", "leave_ns", "left", "mark", "offsets", "plan")
+
+    def __init__(self, plan: Plan, begin_ns: int, blend_ns: int, left: _Left | None = None) -> None:
         self.plan: Final = plan
         self.begin_ns: Final = begin_ns
         self.blend_ns: Final = blend_ns
         self.leave_ns: Final = min(blend_ns, LEAVE_FADE_NS)
+        self.left: Final[_Left | None] = left
         self.mark: Final[Mark] = mark_of(plan.mission)
         self.offsets: Final = dict(plan.offsets)
         self._edges: dict[int, tuple[Edge, ...]] = {}
@@ -159,10 +222,40 @@ class Reference:
             self._segments = [_Segment(plan, 0, 0)]
         else:
             kept = [segment for segment in self._segments if segment.begin_ns < plan.from_ns]
-            if len(kept) == _SEGMENTS_MAX:
-                kept[:2] = [_Segment(kept[1].plan, 0, 0)]
-            self._segments = [*kept, _Segment(plan, plan.from_ns, plan.blend_ns)]
+            if self._within(len(kept), plan.from_ns) >= WITHIN_MAX:
+                kept.append(self._settling(len(kept) - 1, plan.from_ns))
+            kept.append(_Segment(plan, plan.from_ns, plan.blend_ns))
+            if len(kept) > KEPT_MAX:  # its own blend is over long since: (M2)
+                kept[: 1 - KEPT_MAX] = [_Segment(kept[-KEPT_MAX].plan, 0, 0)]
+            self._segments = kept
         self._instants.clear()
+
+    def _within(self, count: int, time_ns: int) -> int:
+        """How many of the blends of the first `count` segments are within one another at a time."""
+        within = 0
+        for segment in reversed(self._segments[:count]):
+            if time_ns - segment.begin_ns >= segment.blend_ns:
+                break
+            within += 1
+            if segment.left is not None:
+                break
+        return within
+
+    def _settling(self, index: int, time_ns: int) -> _Segment:
+        """A segment by the plan of that of this index, from a time on, that blends from what is left then of
+        all that are within one another (M2)."""
+        plan, until_ns = self._segments[index].plan, time_ns
+        for segment in self._segments[index - self._within(index + 1, time_ns) + 1 : index + 1]:
+            until_ns = max(until_ns, segment.begin_ns + segment.blend_ns)
+        there, alone = self._instant(index, time_ns), Instant(plan.reference(time_ns), dict(plan.offsets))
+        left = {robot: _less(there.motion(robot), alone.motion(robot)) for robot in plan.offsets}
+        edges = {robot: self._weighted(index, robot, time_ns) for robot in plan.offsets}
+        for robot, known in edges.items():
+            for other, (excess, _, weight) in known.items():
+                gone = None if other in plan.offsets else there.latest(other)
+                if gone is not None:  # it goes on no more
+                    known[other] = excess, _apart(there.motion(robot), gone)[0], weight
+        return _Segment(plan, time_ns, until_ns - time_ns, _Left(left, edges))
 
     def frozen(self) -> Reference:
         """The reference as it is now, whatever missions come."""
@@ -236,7 +329,8 @@ class Reference:
         """A member's edges, by the other's id; none for a robot without a place.
 
         In a blend an edge that stays is as long as the places of its ends are apart on their way, one that is
-        new gains weight, one that is no more loses it, that to a robot which left within `LEAVE_FADE_NS`.
+        new gains weight, one that is no more loses it, that to a robot which left within `LEAVE_FADE_NS`, as
+        long as if that had gone on.
         Where a plan wants an edge longer or shorter than its places are apart, the difference is blended.
         """
         index = self._index(time_ns)
@@ -244,11 +338,12 @@ class Reference:
         if time_ns - segment.begin_ns >= segment.blend_ns:
             return segment.edges(robot)
         weighted = self._weighted(index, robot, time_ns)
-        own = self.motion(robot, time_ns)
+        instant = self.instant(time_ns)
+        own = instant.latest(robot)
         edges = []
         for other in sorted(weighted):
             excess, apart, weight = weighted[other]
-            there = self.motion(other, time_ns)
+            there = instant.latest(other)
             if weight > 0.0:
                 rate = bend = 0.0
                 if own is not None and there is not None:
@@ -269,12 +364,15 @@ class Reference:
         sample = plan.reference(time_ns)
         if since_ns >= segment.blend_ns:
             return Instant(sample, segment.offsets)
+        if segment.left is not None:
+            shape = _dying_shape(since_ns / segment.blend_ns, segment.blend_ns / NS_PER_S)
+            return _Settling(sample, segment.offsets, segment.left.motion, shape)
         share, rate, bend = blend_shape(since_ns / segment.blend_ns)
         per_s = NS_PER_S / segment.blend_ns
         before = self._instant(index - 1, time_ns)
         return Instant(sample, segment.offsets, before, share, rate * per_s, bend * per_s * per_s)
 
-    def _weighted(self, index: int, robot: int, time_ns: int) -> dict[int, tuple[float, float, float]]:
+    def _weighted(self, index: int, robot: int, time_ns: int) -> dict[int, _Three]:
         """A robot's edges, by the robots at their other ends: by how much the wanted distance is more than
         the places are apart (m), how far these are apart in the plan (m), and the weight.
         """
@@ -289,7 +387,10 @@ class Reference:
             return {other: (excess, apart, weight) for other, excess, apart, weight in wanted}
         if robot not in offsets:
             return {}
-        before = self._weighted(index - 1, robot, time_ns)
+        if segment.left is not None:
+            before = dict(segment.left.edges[robot])
+        else:
+            before = self._weighted(index - 1, robot, time_ns)
         share = _share(since_ns / segment.blend_ns)
         weighted = {}
         for other, excess, apart, _ in wanted:
@@ -302,7 +403,7 @@ class Reference:
         return weighted
 
 
-def _apart(own: Sample, other: Sample) -> tuple[float, float, float]:
+def _apart(own: Sample, other: Sample) -> _Three:
     """Distance between two motions, m, and its first and second derivative by time."""
     x, y, vx, vy, ax, ay = (a - b for a, b in zip(own, other, strict=True))
     rho = hypot(x, y)
@@ -313,7 +414,29 @@ def _apart(own: Sample, other: Sample) -> tuple[float, float, float]:
     return rho, nx * vx + ny * vy, nx * ax + ny * ay + across * across / rho
 
 
-def blend_shape(s: float) -> tuple[float, float, float]:
+def _less(one: Sample, other: Sample) -> Sample:
+    """How far one motion is from another."""
+    x, y, vx, vy, ax, ay = one
+    x0, y0, vx0, vy0, ax0, ay0 = other
+    return x - x0, y - y0, vx - vx0, vy - vy0, ax - ax0, ay - ay0
+
+
+def _dying_shape(s: float, seconds: float) -> _Shape:
+    """A, T B and T^2 C of (M2) at the share s of T, within [0, 1], and their derivatives by time."""
+    share, rate, bend = blend_shape(s)
+    b, c = s * (1.0 + s * s * (s * (8.0 - 3.0 * s) - 6.0)), 0.5 * s * s * (1.0 - s) ** 3
+    db = 1.0 + s * s * (s * (32.0 - 15.0 * s) - 18.0)
+    dc = 0.5 * s * (1.0 - s) ** 2 * (2.0 - 5.0 * s)
+    ddb = s * (s * (96.0 - 60.0 * s) - 36.0)
+    ddc = 1.0 + s * (s * (18.0 - 10.0 * s) - 9.0)
+    return (
+        (1.0 - share, seconds * b, seconds * seconds * c),
+        (-rate / seconds, db, seconds * dc),
+        (-bend / (seconds * seconds), ddb / seconds, ddc),
+    )
+
+
+def blend_shape(s: float) -> _Three:
     """S, S' and S'' at the share s of a blend, within [0, 1]."""
     left = s * (1.0 - s)
     return _share(s), 30.0 * left * left, 60.0 * left * (1.0 - 2.0 * s)

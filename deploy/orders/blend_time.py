@@ -33,8 +33,9 @@ _RATE_MAX: Final = 15.0 / 8.0
 _BEND_MAX: Final = 10.0 / sqrt(3.0)
 
 
-def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int:
-    """Least blend, at least 1 s, in which the members' desired motion keeps the limits of `[control]`.
+def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int | None:
+    """Least blend, at least 1 s, in which the members' desired motion keeps the limits of `[control]`; None
+    where there is none of `BLEND_MAX_S`.
 
     A new trajectory that is so fast that no blend keeps the speed (it has to be caught up with) is given one
     in which the change of places itself costs a quarter of the greatest speed at most.
@@ -72,7 +73,7 @@ def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int:
             if not enough and _RATE_MAX * to_go <= _SPEED_SHARE * most * seconds:
                 enough = seconds
         seconds *= _LONGER
-    return round((enough or BLEND_MAX_S) * NS_PER_S)
+    return round(enough * NS_PER_S) if enough else None
 
 
 def _unfinished(before: Plan, from_ns: int, speed_max: float, acceleration_max: float) -> float:

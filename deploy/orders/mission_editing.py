@@ -29,7 +29,7 @@ from agent.links.ticks import next_tick_ns
 from agent.messages.codec import decode, encode
 from agent.messages.types import Distance, Mission, Place, Removed, clipped
 from agent.messages.validation import Malformed
-from deploy.orders.blend_time import blend_ns_for
+from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for
 from deploy.orders.trilateration import place_apart
 
 LEAD_NS: Final = NS_PER_S
@@ -135,7 +135,15 @@ def ordered(
         return mission
     if order.over_s is not None:
         return mission._replace(blend_ns=round(order.over_s * NS_PER_S))
-    return mission._replace(blend_ns=blend_ns_for(plan, after, fleet))
+    blend_ns = blend_ns_for(plan, after, fleet)
+    if blend_ns is None:
+        goes_on = plan.from_ns + plan.blend_ns > from_ns
+        raise OrderError(
+            f"it needs more than {BLEND_MAX_S:g} s to keep the limits of [control]"
+            f"{', by what is left of the change before it' if goes_on else ''}: order it in parts, each when "
+            "the one before is over, or say how long it is to take (over_s)"
+        )
+    return mission._replace(blend_ns=blend_ns)
 
 
 def _join(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from math import hypot
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of, trajectory_parts
-from agent.formation.reference import Reference
+from agent.formation.reference import WITHIN_MAX, Reference
 from agent.formation.trajectory import TrajectorySection
 from agent.messages.types import Mission
 from deploy.orders.blend_time import blend_ns_for
@@ -43,11 +44,14 @@ PLACES = st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=6,
 
 
 @st.composite
-def plans(draw: st.DrawFn, most: int = 3, shortest: int = 0) -> list[Plan]:
+def plans(
+    draw: st.DrawFn, most: int = 3, shortest: int = 0, longest: int = 8, *, in_turn: bool = False
+) -> list[Plan]:
     """The first plan and some more, ascending by version, with times of any order.
 
     Args:
-        shortest: least length of a blend, in halves of a second.
+        shortest, longest: of blends, in halves of a second.
+        in_turn: each is taken over within half a second after the one before it.
     """
     made = [FIRST]
     for version in range(2, 2 + draw(st.integers(1, most))):
@@ -55,7 +59,8 @@ def plans(draw: st.DrawFn, most: int = 3, shortest: int = 0) -> list[Plan]:
         places = draw(PLACES)
         pairs = [(i, j) for i in sorted(members) for j in sorted(members) if i < j]
         edges = draw(st.sets(st.sampled_from(pairs))) if pairs else set()
-        from_ns = EPOCH + draw(st.integers(1, 500)) * S // 50
+        since_ns = max(made[-1].from_ns, EPOCH) if in_turn else EPOCH
+        from_ns = since_ns + draw(st.integers(1, 25 if in_turn else 500)) * S // 50
         made.append(
             plan_of(
                 Mission(
@@ -65,7 +70,7 @@ def plans(draw: st.DrawFn, most: int = 3, shortest: int = 0) -> list[Plan]:
                     100 * S,
                     "",
                     from_ns,
-                    draw(st.integers(shortest, 8)) * S // 2,
+                    draw(st.integers(shortest, longest)) * S // 2,
                     "",
                     from_ns,
                     trajectory_parts(draw(TRAJECTORIES)),
@@ -119,6 +124,31 @@ def test_motion_has_no_jump_up_to_its_acceleration_and_derivatives_agree(made: l
                 assert abs(difference - here[axis + 2]) <= jerk * step
             for axis in (4, 5):
                 assert abs(after[axis] - before[axis]) <= 2 * jerk * step
+
+
+@given(plans(most=2 * WITHIN_MAX, shortest=4, longest=60, in_turn=True))
+@settings(max_examples=100, deadline=None)
+def test_however_many_plans_meet_each_one_goes_on_from_the_motion_before_it(made: list[Plan]):
+    """Each is compared, when it is taken over, with what would be without it."""
+    taken = reference(made[:1])
+    for plan in made[1:]:
+        without = taken.frozen()
+        taken.take(plan)
+        last = without.plan
+        assert last is not None
+        for robot in set(plan.members) & set(last.members):
+            was, now = without.motion(robot, plan.from_ns), taken.motion(robot, plan.from_ns)
+            assert now == pytest.approx(was, rel=1e-9, abs=1e-9)
+            before, after = (
+                {edge.other: (edge.distance, edge.weight) for edge in each.edges(robot, plan.from_ns)}
+                for each in (without, taken)
+            )
+            assert after.keys() == before.keys()
+            for other, edge in before.items():
+                if (
+                    other in last.members or other not in plan.members
+                ):  # one that is back is at its place at once
+                    assert after[other] == pytest.approx(edge, abs=1e-9)
 
 
 @given(plans(), st.permutations(range(4)), st.data())

@@ -10,7 +10,7 @@ from agent.fleet.model import Fleet
 from agent.fleet.orders import ShapeSection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of
-from agent.formation.reference import LEAVE_FADE_NS, Edge, Reference
+from agent.formation.reference import KEPT_MAX, LEAVE_FADE_NS, Edge, Reference
 from agent.messages.codec import Mark, tag
 from agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
@@ -200,18 +200,29 @@ def test_a_mission_changes_what_has_been_asked_for_before():
     assert made.motion(2, time_ns) == reference(FIRST, larger).motion(2, time_ns)
 
 
-def test_of_many_missions_only_the_latest_are_kept():
-    plans = [FIRST]
-    for k in range(30):
+def many(count: int, every_s: float, blend_s: float, before: tuple[Plan, ...] = (FIRST,)) -> list[Plan]:
+    """Missions, by each of which all places are 0.1 m further east."""
+    plans = list(before)
+    for _ in range(count):
         robots, edges, trajectory = mission_parts(plans[-1])
-        robots = tuple((robot, x + 0.1, y) for robot, x, y in robots)
-        from_ns = EPOCH + (k + 1) * S // 10
-        mission = Mission(
-            k + 2, EPOCH, EPOCH, 60 * S, "", from_ns, 2 * S, "", EPOCH, trajectory, robots, edges
+        last = plans[-1].mission
+        mission = last._replace(
+            version=last.version + 1,
+            from_ns=max(last.from_ns, EPOCH) + round(every_s * S),
+            blend_ns=round(blend_s * S),
+            trajectory_ns=EPOCH,
+            trajectory=trajectory,
+            robots=tuple((robot, x + 0.1, y) for robot, x, y in robots),
+            edges=edges,
         )
         plans.append(plan_of(mission, FLEET, GEOMETRY))
+    return plans
+
+
+def test_of_many_missions_only_the_latest_are_kept():
+    plans = many(30, 0.1, 2.0)
     made = reference(*plans)
-    assert made.active(EPOCH) is plans[-8]  # what is older is forgotten
+    assert plans.index(made.active(EPOCH)) > 30 - KEPT_MAX  # what is older is forgotten
     for k in range(200):
         time_ns = plans[-1].from_ns + k * S // 50
         motion = made.motion(2, time_ns)
@@ -220,6 +231,43 @@ def test_of_many_missions_only_the_latest_are_kept():
         assert x + 1.0 < motion[0] <= x + 4.0 + 1e-9
         assert [edge.other for edge in made.edges(2, time_ns)] == [1, 3]
     assert made.motion(2, at(plans[-1], 1.0))[0] == pytest.approx(FIRST.reference(at(plans[-1], 1))[0] + 4.0)
+
+
+@pytest.mark.parametrize(("every_s", "blend_s"), [(0.2, 4.0), (2.0, 1.5), (3.0, 60.0)])
+def test_however_many_changes_meet_each_other_the_motion_is_continuous(every_s: float, blend_s: float):
+    """Below one that lasts for long."""
+    larger = changed(order("reshape", scale=4.0, over_s=100.0))
+    plans = many(25, every_s, blend_s, (FIRST, larger))
+    made, near_ns = reference(), 1_000
+    for plan in plans:
+        before = made.frozen()
+        made.take(plan)
+        if plan is FIRST:
+            continue
+        was, now = (before.motion(2, plan.from_ns), made.motion(2, plan.from_ns))
+        assert now == pytest.approx(was, abs=1e-9), "position, velocity and acceleration"
+        earlier, later = (made.motion(2, plan.from_ns + side * near_ns) for side in (-1, 1))
+        assert later == pytest.approx(earlier, abs=1e-4)
+        were, are = (
+            {edge.other: (edge.distance, edge.weight) for edge in each.edges(2, plan.from_ns)}
+            for each in (before, made)
+        )
+        assert are == {other: pytest.approx(edge, abs=1e-9) for other, edge in were.items()}
+    end_ns = at(plans[-1], 1.0)
+    assert made.motion(2, end_ns) == pytest.approx(reference(FIRST, plans[-1]).motion(2, end_ns))
+
+
+def test_the_derivatives_of_what_is_left_of_many_changes_are_those_of_its_motion():
+    plans = many(9, 0.2, 4.0)
+    made = reference(*plans)
+    for share in (0.05, 0.3, 0.6, 0.9):
+        time_ns, step_s = at(plans[-1], share), 1e-3
+        (x0, y0, *_), (x, y, vx, vy, ax, ay), (x1, y1, *_) = (
+            made.motion(2, time_ns + round(k * step_s * S)) for k in (-1, 0, 1)
+        )
+        assert ((x1 - x0) / (2 * step_s), (y1 - y0) / (2 * step_s)) == pytest.approx((vx, vy), abs=1e-5)
+        second = (x1 - 2 * x + x0) / step_s**2, (y1 - 2 * y + y0) / step_s**2
+        assert second == pytest.approx((ax, ay), abs=1e-3)
 
 
 # ---------------------------------------------------------------------- ways

@@ -499,8 +499,23 @@ def test_a_course_too_fast_for_any_blend_gets_one_that_its_places_need():
     plan = plan_after(order("reshape", trajectory=fast, scale=2.0))
     seconds = plan.blend_ns / S
     assert 15 / 8 * sqrt(2) <= 0.25 * 1.5 * seconds <= 15 / 8 * sqrt(2) * 1.1
-    far = plan_after(order("reshape", trajectory=replace(fast, start_m=(9e5, 0.0))))
-    assert far.blend_ns == BLEND_MAX_S * S
+
+
+@pytest.mark.parametrize(
+    "given", [{"scale": 1000.0}, {"trajectory": TrajectorySection("hold", start_m=(9e5, 0.0))}]
+)
+def test_what_no_blend_does_is_refused_but_where_it_is_said_how_long(given: Any):
+    """Places would move faster than robots may."""
+    with pytest.raises(
+        OrderError, match=f"^it needs more than {BLEND_MAX_S:g} s to keep the limits of"
+    ) as refused:
+        plan_after(order("reshape", **given))
+    assert "order it in parts" in str(refused.value)
+    assert "left of the change before" not in str(refused.value)
+    assert plan_after(order("reshape", **given, over_s=30.0)).blend_ns == 30 * S
+    large = plan_after(order("reshape", scale=60.0, over_s=600.0))
+    with pytest.raises(OrderError, match="by what is left of the change before it: order it in parts"):
+        plan_after(order("reshape", scale=0.01), large, at_s=12.0)
 
 
 def test_who_only_comes_and_goes_needs_the_least_blend():
