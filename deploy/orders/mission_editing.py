@@ -195,8 +195,8 @@ def _refuse_by_ear(order: OrderSection, plan: Plan, heard: Collection[int]) -> N
     named = must_be_known(order, plan)
     loud = [robot for robot in named if robot in heard]
     if order.kind == "remove" and loud:
-        who = f"robots {_listed(loud)} are" if len(loud) > 1 else f"robot {loud[0]} is"
-        raise OrderError(f"{who} heard: only the body of one that is silent can be removed")
+        who = f"agents of robots {_listed(loud)} are" if len(loud) > 1 else f"agent of robot {loud[0]} is"
+        raise OrderError(f"the {who} heard: only the body of one whose agent is silent can be removed")
     if order.kind != "remove" and named and not loud:
         raise OrderError(f"robot {named[0]} has been removed, and is not heard: start its agent again first")
 

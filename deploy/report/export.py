@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -39,6 +40,7 @@ from deploy.recording.link_table import LinkTable
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 from deploy.recording.tables import StatusTable, Table, columns
+from deploy.report.whole_file import whole_file
 from deploy.verdict.metrics import MESSAGES
 from deploy.verdict.run_result import RunResult
 
@@ -72,7 +74,7 @@ def export(
 
     Tables: ``hands``, ``plants``, ``wrenches``, ``multipliers``, ``statuses`` (one row per message),
     ``distances`` (one per edge and period of the fleet), ``links`` (one per decision of a fault rule) when
-    there was one, and ``truths`` when plants measure with noise.
+    there was one, and ``truths`` when plants measure with noise. All are there, or what was there before.
 
     Args:
         warn: told what of the recording could not be read, a line each.
@@ -199,13 +201,12 @@ def _tables_writer(format: str) -> Writer:
 
     def write(result: RunResult, target: Path) -> list[Path]:
         tables = tabulate(result)
+        paths = {target / f"{name}.{format}": table for name, table in tables.items()}
         target.mkdir(parents=True, exist_ok=True)
-        written = []
-        for name, table in tables.items():
-            path = target / f"{name}.{format}"
-            write_table(path, table)
-            written.append(path)
-        return written
+        with ExitStack() as until_all_are_written:
+            for path, table in paths.items():
+                write_table(until_all_are_written.enter_context(whole_file(path)), table)
+        return list(paths)
 
     return write
 

@@ -123,8 +123,8 @@ def test_a_run_removes_whom_it_has_not_heard_for_long(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     metrics = json.loads((folder / "metrics.json").read_text())
     assert (
-        "The order at 3 s (remove) was not given: robot 7 is heard: only the body of one that is silent can "
-        "be removed."
+        "The order at 3 s (remove) was not given: the agent of robot 7 is heard: only the body of one whose "
+        "agent is silent can be removed."
     ) in metrics["verdict"]["reasons"]
     assert not any("at 6 s" in reason for reason in metrics["verdict"]["reasons"])
     recording = read_run(folder)
@@ -167,8 +167,8 @@ def test_a_body_is_removed_and_comes_back(tmp_path: Path) -> None:
         with fleet.command("remove", "--robot", "3") as refused:
             assert refused.wait() == 2, refused.told()
             assert refused.err == (
-                "handfast: cannot be done: robot 3 is heard: only the body of one that is silent can be "
-                "removed\n"
+                "handfast: cannot be done: the agent of robot 3 is heard: only the body of one whose "
+                "agent is silent can be removed\n"
             )
         for role in key_expressions.ROLES:
             fleet.signal(3, role, signal.SIGKILL)

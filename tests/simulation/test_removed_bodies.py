@@ -147,7 +147,7 @@ def test_a_run_in_which_a_body_was_removed_passes() -> None:
 
 def test_only_who_is_silent_can_be_removed() -> None:
     field = Field().until(1.0)
-    heard = "robot 6 is heard: only the body of one that is silent can be removed"
+    heard = "the agent of robot 6 is heard: only the body of one whose agent is silent can be removed"
     assert field.given("remove", robots=(6,)) == heard
     field.until(3.0)
     assert field.given("remove", robots=(6,)) == heard  # it was a second ago

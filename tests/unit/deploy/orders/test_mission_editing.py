@@ -295,8 +295,12 @@ def test_who_was_removed_gets_a_place_again_once_it_is_heard(what: OrderSection)
 @pytest.mark.parametrize(
     ("robots", "said"),
     [
-        ((2,), "robot 2 is heard: only the body of one that is silent can be removed"),
-        ((2, 3, 8), "robots 2 and 3 are heard: only the body of one that is silent can be removed"),
+        ((2,), "the agent of robot 2 is heard: only the body of one whose agent is silent can be removed"),
+        (
+            (2, 3, 8),
+            "the agents of robots 2 and 3 are heard: only the body of one whose agent is silent "
+            "can be removed",
+        ),
         ((8,), None),
         ((4, 7), None),
     ],

@@ -134,7 +134,7 @@ def test_an_order_that_cannot_be_changes_nothing() -> None:
         "members are 1, 2, 3 and 4."
     )
     assert made.mission is before
-    with pytest.raises(OrderError, match="robot 4 is heard: only the body"):
+    with pytest.raises(OrderError, match="agent of robot 4 is heard: only the body"):
         made.give(order("remove", robots=(4,)), EPOCH, heard={1, 4})
     assert made.mission is before
     with pytest.raises(OrderError, match=NO_MISSION):

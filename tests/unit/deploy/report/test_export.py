@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from agent.messages.codec import encode
 from deploy.cli import main
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder, RecordingError
+from deploy.report import export as export_module
 from deploy.report.export import export, tabulate
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
@@ -144,6 +146,33 @@ def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytes
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RecordingError, match="Parquet needs pyarrow, which is not installed"):
         export(run, "parquet")
+
+
+@pytest.mark.parametrize("format", ["csv", "json", "parquet"])
+@pytest.mark.parametrize("ending", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left on device")])
+def test_what_is_not_written_to_its_end_changes_nothing(
+    run: Path, monkeypatch: pytest.MonkeyPatch, format: str, ending: BaseException
+) -> None:
+    """Half a table, or tables of two runs side by side, would be taken for those of one."""
+    written = export(run, format)
+    before = {path: path.read_bytes() for path in written}
+    write = export_module._table_writer(format)
+
+    def last_fails(path: Path, columns: export_module.Columns) -> None:
+        path.write_text("half of")
+        if "wanted_m" in columns:
+            raise ending
+        write(path, columns)
+
+    monkeypatch.setattr(export_module, "_table_writer", lambda _format: last_fails)
+    with pytest.raises(
+        KeyboardInterrupt if isinstance(ending, KeyboardInterrupt) else RecordingError
+    ) as caught:
+        export(run, format)
+    if isinstance(ending, OSError):
+        named = run / "export" / f"distances.{format}"
+        assert str(caught.value) == f"cannot write {named}: No space left on device"
+    assert {path: path.read_bytes() for path in (run / "export").iterdir()} == before
 
 
 def test_what_was_done_to_messages(tmp_path: Path) -> None:
