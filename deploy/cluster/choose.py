@@ -12,6 +12,7 @@ from agent.common.errors import Error, packages_named
 from agent.common.wording import printable
 from agent.common.wording import show as shown
 from agent.fleet.model import Fleet
+from deploy.cluster.identity import refuse_lacking
 from deploy.console.arguments import fleet_path
 from deploy.hosts.artifacts.plugin_files import files_of_plugins
 from deploy.simulate import worker_pool
@@ -96,6 +97,7 @@ def check_cluster(cluster: str | None) -> None:
             raise ClusterOptionError(f"--cluster {printable(cluster)}: {error}") from None
     with packages_named("--cluster"):
         import deploy.cluster.engine  # noqa: F401 (whether it can be)
+    refuse_lacking()
 
 
 def _address(cluster: str) -> str:

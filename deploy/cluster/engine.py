@@ -247,7 +247,10 @@ class Cluster(Generic[T]):
             raise kind(why)
         seen = self._watch.seen
         if seen.refused >= max(1, self._expects()) and not seen.unknown:
-            raise kind(f"no worker of {self.name} can be used; each has another installation than this one")
+            raise kind(
+                f"no worker of {self.name} can be used; each has another installation than this one: give "
+                "them this one, and start them again"
+            )
         if waited_s > self._patience_s:
             raise kind(
                 f"there is no worker at {self.name}: none has come within {self._patience_s:.0f} s "
