@@ -46,6 +46,7 @@ def make_engine(
     *,
     go_on: GoOn = lambda: True,
     wait_s: float | None = None,
+    accept_new: bool = False,
 ) -> Engine[T]:
     """What drives runs of `work`, each in at most `timeout_s`.
 
@@ -55,6 +56,7 @@ def make_engine(
         fleets: whose plugins go along to other machines.
         go_on: is asked while a cluster is looked for: where it says no, no run is driven.
         wait_s: how long a cluster without a worker is waited for; else as long as it is.
+        accept_new: takes the keys of a fleet's hosts that were never met before for their own.
 
     Raises:
         Error: there is no such cluster.
@@ -73,7 +75,9 @@ def make_engine(
 
     if cluster.startswith(SSH):
         name = cluster.removeprefix(SSH)
-        return HostsCluster(name, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on)
+        return HostsCluster(
+            name, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on, accept_new=accept_new
+        )
     address = _address(cluster)
     return Cluster(
         address, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on,
