@@ -13,6 +13,7 @@ from agent.common.wording import printable
 from agent.common.wording import show as shown
 from agent.fleet.model import Fleet
 from deploy.cluster.identity import refuse_lacking
+from deploy.cluster.reasons import error_line
 from deploy.console.arguments import fleet_path
 from deploy.hosts.artifacts.plugin_files import files_of_plugins
 from deploy.simulate import worker_pool
@@ -100,7 +101,13 @@ def check_cluster(cluster: str | None) -> None:
         except Error as error:
             raise ClusterOptionError(f"--cluster {printable(cluster)}: {error}") from None
     with packages_named("--cluster"):
-        import deploy.cluster.engine  # noqa: F401 (whether it can be)
+        try:
+            import deploy.cluster.engine  # noqa: F401 (whether it can be)
+        except ImportError:
+            raise
+        except Exception as error:  # of its configuration, which Dask reads when it is imported
+            why = error_line(error)
+            raise ClusterOptionError(f"Dask cannot be loaded with its configuration: {why}") from None
     refuse_lacking()
 
 

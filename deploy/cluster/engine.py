@@ -22,8 +22,10 @@ from typing import Any, Final, Generic, TypeVar
 import distributed
 from distributed.security import Security
 
-from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected, error_line
+from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected
+from deploy.cluster.dask_configuration import configured_security
 from deploy.cluster.on_worker import UnknownCampaign
+from deploy.cluster.reasons import error_line
 from deploy.cluster.sent import Unfinished, Unreadable, pack
 from deploy.cluster.watch import LOOK_S, MODULE, Watch, remote
 from deploy.simulate.worker_pool import POLL_S, EngineLost, GoOn, Work
@@ -127,7 +129,7 @@ class Cluster(Generic[T]):
         self._left = ExitStack()
 
     def __enter__(self) -> Cluster[T]:
-        security = self._security or Security()  # as Dask's configuration has it
+        security = self._security or configured_security()
         certified = security.get_connection_args("client")["ssl_context"] is not None
         if self._address.startswith("tls://") and not certified:
             raise ClusterError(

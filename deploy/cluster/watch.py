@@ -18,9 +18,10 @@ from typing import Any, Final
 from distributed.comm.core import CommClosedError
 
 from agent.common.wording import printable
-from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, error_line, patiently
+from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, patiently
 from deploy.cluster.identity import INSTALL, differences, identity
 from deploy.cluster.on_worker import PROCESS
+from deploy.cluster.reasons import error_line
 from deploy.simulate.worker_pool import GoOn
 
 LOOK_S: Final = 1.0
