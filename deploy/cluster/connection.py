@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+import warnings
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -15,6 +16,7 @@ from typing import Any, Final, TypeVar
 
 import distributed
 from distributed.security import Security
+from distributed.versions import VersionMismatchWarning
 
 from agent.common.errors import Error
 from deploy.cluster.reasons import error_line, why_not
@@ -51,9 +53,12 @@ class Client(distributed.Client):
             GivenUp: `go_on` said no.
             Exception: whatever else Dask raises.
         """
-        self._loop_runner.start()
-        begin = partial(self._start, timeout=CONNECT_S)
-        self.sync(patiently, begin, CONNECT_S + SPARE_S, go_on)  # type: ignore[no-untyped-call]
+        with warnings.catch_warnings():
+            # A table of ten lines for a worker that differs in anything: of what matters there is a line.
+            warnings.simplefilter("ignore", VersionMismatchWarning)
+            self._loop_runner.start()
+            begin = partial(self._start, timeout=CONNECT_S)
+            self.sync(patiently, begin, CONNECT_S + SPARE_S, go_on)  # type: ignore[no-untyped-call]
 
     def leave(self) -> None:
         """Closes it, whatever state it is in, and waits for nobody for long."""
