@@ -26,6 +26,7 @@ from agent.fleet.loading import load_fleet
 from deploy.cluster import worker_on_host
 from deploy.cluster.connection import ClusterError
 from deploy.cluster.engine import Cluster, Say
+from deploy.cluster.reasons import error_line
 from deploy.cluster.worker_process import security
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import WORKER_REQUIREMENTS
@@ -85,7 +86,10 @@ class HostsCluster(Generic[T]):
     def __enter__(self) -> HostsCluster[T]:
         self._program = program_archive(packages=SENT)
         key, certificate = credentials()
-        trust = security(key, certificate)
+        try:
+            trust = security(key, certificate)
+        except ValueError as error:  # of other settings of Dask's configuration, which hold here, too
+            raise ClusterError(f"Dask's configuration cannot be used: {error_line(error)}") from None
         with ExitStack() as stack:
             stack.enter_context(dask.config.set({"distributed.comm.timeouts.tcp": f"{LOST_S:g}s"}))
             with warnings.catch_warnings():

@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 from types import SimpleNamespace
 
+import dask
 import pytest
 
 from agent.fleet.hosts import HostSection
@@ -41,6 +42,17 @@ def test_why_no_host_works_is_said_when_none_does(tmp_path: Path) -> None:
     assert found._expected() == 1
     rows["b"].fail("the disk is full")
     assert found._broken() == (f"no host of {file} has a worker: a: it does not answer; b: the disk is full")
+
+
+def test_a_setting_of_dask_that_is_wrong_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text((FLEETS / "pair.toml").read_text() + "\n[host.a]\n")
+    with (
+        dask.config.set({"distributed.comm.tls.min-version": 9}),
+        pytest.raises(ClusterError, match=r"^Dask's configuration cannot be used: .*min-version=9 is not"),
+        cluster(str(file)),
+    ):
+        raise AssertionError
 
 
 @pytest.mark.parametrize("accept_new", [False, True])
