@@ -261,7 +261,9 @@ def test_a_scheduler_that_is_gone_or_silent_ends_the_campaign() -> None:
 def test_without_a_worker_it_ends_with_the_reason() -> None:
     refused = Seen(time.monotonic() + 60.0, {}, refused=2)
     bench = Bench()
-    with pytest.raises(ClusterError, match="each has another installation than this one"):
+    with pytest.raises(
+        ClusterError, match="each has another installation than this one: give them this one, and"
+    ):
         bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
     bench = Bench(expects=lambda: 3)  # a third one is to come
     bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
