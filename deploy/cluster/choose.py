@@ -12,6 +12,8 @@ from agent.common.errors import Error, packages_named
 from agent.common.wording import printable
 from agent.common.wording import show as shown
 from agent.fleet.model import Fleet
+from deploy.cluster.identity import refuse_lacking
+from deploy.cluster.reasons import error_line
 from deploy.console.arguments import fleet_path
 from deploy.hosts.artifacts.plugin_files import files_of_plugins
 from deploy.simulate import worker_pool
@@ -45,6 +47,7 @@ def make_engine(
     *,
     go_on: GoOn = lambda: True,
     wait_s: float | None = None,
+    accept_new: bool = False,
 ) -> Engine[T]:
     """What drives runs of `work`, each in at most `timeout_s`.
 
@@ -54,6 +57,7 @@ def make_engine(
         fleets: whose plugins go along to other machines.
         go_on: is asked while a cluster is looked for: where it says no, no run is driven.
         wait_s: how long a cluster without a worker is waited for; else as long as it is.
+        accept_new: takes the keys of a fleet's hosts that were never met before for their own.
 
     Raises:
         Error: there is no such cluster.
@@ -72,7 +76,9 @@ def make_engine(
 
     if cluster.startswith(SSH):
         name = cluster.removeprefix(SSH)
-        return HostsCluster(name, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on)
+        return HostsCluster(
+            name, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on, accept_new=accept_new
+        )
     address = _address(cluster)
     return Cluster(
         address, work, timeout_s, files=files, say=show.say, count=count, go_on=go_on,
@@ -95,7 +101,14 @@ def check_cluster(cluster: str | None) -> None:
         except Error as error:
             raise ClusterOptionError(f"--cluster {printable(cluster)}: {error}") from None
     with packages_named("--cluster"):
-        import deploy.cluster.engine  # noqa: F401 (whether it can be)
+        try:
+            import deploy.cluster.engine  # noqa: F401 (whether it can be)
+        except ImportError:
+            raise
+        except Exception as error:  # of its configuration, which Dask reads when it is imported
+            why = error_line(error)
+            raise ClusterOptionError(f"Dask cannot be loaded with its configuration: {why}") from None
+    refuse_lacking()
 
 
 def _address(cluster: str) -> str:

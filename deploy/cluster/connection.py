@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+import warnings
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -15,9 +16,10 @@ from typing import Any, Final, TypeVar
 
 import distributed
 from distributed.security import Security
+from distributed.versions import VersionMismatchWarning
 
 from agent.common.errors import Error
-from agent.common.wording import printable
+from deploy.cluster.reasons import error_line, why_not
 from deploy.simulate.worker_pool import POLL_S, GoOn
 
 CONNECT_S: Final = 10.0
@@ -51,9 +53,12 @@ class Client(distributed.Client):
             GivenUp: `go_on` said no.
             Exception: whatever else Dask raises.
         """
-        self._loop_runner.start()
-        begin = partial(self._start, timeout=CONNECT_S)
-        self.sync(patiently, begin, CONNECT_S + SPARE_S, go_on)  # type: ignore[no-untyped-call]
+        with warnings.catch_warnings():
+            # A table of ten lines for a worker that differs in anything: of what matters there is a line.
+            warnings.simplefilter("ignore", VersionMismatchWarning)
+            self._loop_runner.start()
+            begin = partial(self._start, timeout=CONNECT_S)
+            self.sync(patiently, begin, CONNECT_S + SPARE_S, go_on)  # type: ignore[no-untyped-call]
 
     def leave(self) -> None:
         """Closes it, whatever state it is in, and waits for nobody for long."""
@@ -81,16 +86,10 @@ def connected(address: str, security: Security, name: str, go_on: GoOn) -> Itera
         except GivenUp:
             raise
         except Exception as error:  # whatever is said there, to Dask it may mean anything
-            raise ClusterError(f"there is no scheduler at {name}: {_why(error)}") from None
+            raise ClusterError(why_not(address, name, error, CONNECT_S)) from None
         yield client
     finally:
         client.leave()
-
-
-def _why(error: Exception) -> str:
-    if isinstance(error, TimeoutError) and not str(error):
-        return f"what listens there has not answered as one within {CONNECT_S:.0f} s"
-    return printable(" ".join(str(error).split())) if isinstance(error, OSError) else error_line(error)
 
 
 async def patiently(make: Callable[[], Awaitable[T]], timeout_s: float, go_on: GoOn) -> T:
@@ -117,8 +116,3 @@ def _looked_at(task: asyncio.Future[Any]) -> None:
     """Has asyncio not complain that nobody has asked what came of a task."""
     if not task.cancelled():
         task.exception()
-
-
-def error_line(error: BaseException) -> str:
-    """An exception on one line."""
-    return printable(" ".join(f"{type(error).__name__}: {error}".split())[:300])

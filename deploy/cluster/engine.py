@@ -22,8 +22,10 @@ from typing import Any, Final, Generic, TypeVar
 import distributed
 from distributed.security import Security
 
-from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected, error_line
+from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected
+from deploy.cluster.dask_configuration import configured_security
 from deploy.cluster.on_worker import UnknownCampaign
+from deploy.cluster.reasons import error_line
 from deploy.cluster.sent import Unfinished, Unreadable, pack
 from deploy.cluster.watch import LOOK_S, MODULE, Watch, remote
 from deploy.simulate.worker_pool import POLL_S, EngineLost, GoOn, Work
@@ -127,7 +129,7 @@ class Cluster(Generic[T]):
         self._left = ExitStack()
 
     def __enter__(self) -> Cluster[T]:
-        security = self._security or Security()  # as Dask's configuration has it
+        security = self._security or configured_security()
         certified = security.get_connection_args("client")["ssl_context"] is not None
         if self._address.startswith("tls://") and not certified:
             raise ClusterError(
@@ -247,7 +249,10 @@ class Cluster(Generic[T]):
             raise kind(why)
         seen = self._watch.seen
         if seen.refused >= max(1, self._expects()) and not seen.unknown:
-            raise kind(f"no worker of {self.name} can be used; each has another installation than this one")
+            raise kind(
+                f"no worker of {self.name} can be used; each has another installation than this one: give "
+                "them this one, and start them again"
+            )
         if waited_s > self._patience_s:
             raise kind(
                 f"there is no worker at {self.name}: none has come within {self._patience_s:.0f} s "

@@ -26,6 +26,7 @@ from agent.fleet.loading import load_fleet
 from deploy.cluster import worker_on_host
 from deploy.cluster.connection import ClusterError
 from deploy.cluster.engine import Cluster, Say
+from deploy.cluster.reasons import error_line
 from deploy.cluster.worker_process import security
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import WORKER_REQUIREMENTS
@@ -54,6 +55,7 @@ class HostsCluster(Generic[T]):
 
     Args:
         fleet: the fleet file, or name of a bundled fleet, that has hosts.
+        accept_new: takes the keys of hosts that were never met before for their own.
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class HostsCluster(Generic[T]):
         say: Say,
         count: Callable[[int, int], None] = lambda _runs, _workers: None,
         go_on: GoOn = lambda: True,
+        accept_new: bool = False,
     ) -> None:
         try:
             self._fleet = load_fleet(fleet_path(fleet))
@@ -77,12 +80,16 @@ class HostsCluster(Generic[T]):
             )
         self._name, self._work, self._timeout_s = fleet, work, timeout_s
         self._files, self._say, self._count, self._wanted = files, say, count, go_on
+        self._accept_new = accept_new
         self._stop = threading.Event()
 
     def __enter__(self) -> HostsCluster[T]:
         self._program = program_archive(packages=SENT)
         key, certificate = credentials()
-        trust = security(key, certificate)
+        try:
+            trust = security(key, certificate)
+        except ValueError as error:  # of other settings of Dask's configuration, which hold here, too
+            raise ClusterError(f"Dask's configuration cannot be used: {error_line(error)}") from None
         with ExitStack() as stack:
             stack.enter_context(dask.config.set({"distributed.comm.timeouts.tcp": f"{LOST_S:g}s"}))
             with warnings.catch_warnings():
@@ -94,8 +101,7 @@ class HostsCluster(Generic[T]):
             scheduler = stack.enter_context(here)
             self._settings = {"key": key, "certificate": certificate}
             self._port: int = scheduler.scheduler.port
-            hosts = self._fleet.hosts
-            self._jobs = HostJobs(self._fleet, hosts, self._serve, at_once=len(hosts))
+            self._jobs = self._make_jobs()
             stack.enter_context(self._jobs)
             stack.callback(self._end)
             cluster = Cluster(
@@ -115,6 +121,14 @@ class HostsCluster(Generic[T]):
     def results(self, runs: Iterable[int], go_on: GoOn) -> Iterator[T]:
         """As `Cluster.results`."""
         return self._cluster.results(runs, go_on)
+
+    def _make_jobs(self) -> HostJobs:
+        """What has every host work."""
+        hosts = self._fleet.hosts
+        return HostJobs(
+            self._fleet, hosts, self._serve, accept_new=self._accept_new, at_once=len(hosts),
+            failed=self._failed,
+        )  # fmt: skip
 
     def _end(self) -> None:
         """Has every host end its worker: by its own connection's end, unless that takes too long."""
@@ -137,19 +151,19 @@ class HostsCluster(Generic[T]):
 
     def _serve(self, connection: HostConnection, row: Row) -> None:
         """Has a host work until the campaign ends."""
-        try:
-            version = self._installed(connection, row)
-            connection.extend(worker_on_host)
-            connection.ask(
-                "start_worker", version=version, port=self._port, settings=self._settings | {"name": row.host}
-            )
-            while not self._stop.wait(LOOK_S):
-                if said := connection.ask("worker_ended"):
-                    raise HostError(printable(str(said)))
-        except HostError as error:
-            if not self._stop.is_set():
-                self._say(f"host {row.host}: {error}")
-            raise
+        version = self._installed(connection, row)
+        connection.extend(worker_on_host)
+        connection.ask(
+            "start_worker", version=version, port=self._port, settings=self._settings | {"name": row.host}
+        )
+        while not self._stop.wait(LOOK_S):
+            if said := connection.ask("worker_ended"):
+                raise HostError(printable(str(said)))
+
+    def _failed(self, row: Row) -> None:
+        """Says which host has no worker, or none any more, and why: one that cannot be reached, too."""
+        if not self._stop.is_set():
+            self._say(f"host {row.host}: {row.step}")
 
     def _installed(self, connection: HostConnection, row: Row) -> str:
         """The version that a host has installed now, of what a worker runs; the only one that is left of

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.cluster.identity import SOURCES, identity
+from deploy.cluster.identity import CHANGED, SOURCES, identity
 from deploy.cluster.sent import SentWork, write_files
 from deploy.simulate.worker_pool import Abandoned, GoOn, Pool
 
@@ -37,7 +37,7 @@ def about() -> dict[str, str]:
     """`identity` of this installation, and `PROCESS`, which no other process has."""
     found = dict(identity())
     if found[SOURCES] != _BEGUN[SOURCES]:
-        found[SOURCES] = "changed since it started: start it again"
+        found[SOURCES] = CHANGED
     return found | {PROCESS: _TOKEN}
 
 

@@ -18,9 +18,10 @@ from typing import Any, Final
 from distributed.comm.core import CommClosedError
 
 from agent.common.wording import printable
-from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, error_line, patiently
-from deploy.cluster.identity import differences, identity
+from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, patiently
+from deploy.cluster.identity import INSTALL, differences, identity
 from deploy.cluster.on_worker import PROCESS
+from deploy.cluster.reasons import error_line
 from deploy.simulate.worker_pool import GoOn
 
 LOOK_S: Final = 1.0
@@ -204,7 +205,8 @@ class Watch:
                 else:
                     processes[address] = told[PROCESS]
             elif not isinstance(told, UNREACHED):
-                self.refuse(address, f"it has no handfast like this one ({error_line(told)})")
+                why = f"it has no handfast like this one ({error_line(told)})"
+                self.refuse(address, f"{why}: install the same there, {INSTALL}, and start it again")
         accepted = {}
         for address, told in self._ask(list(processes), "begin", *self._told).items():
             if told is None:

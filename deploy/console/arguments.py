@@ -197,12 +197,24 @@ def engine_arguments(parser: argparse.ArgumentParser, what: str) -> None:
         metavar="TIME",
         help="so long a cluster that has no worker is waited for (default: 1min)",
     )
+    parser.add_argument(
+        "--accept-new-host-keys",
+        action="store_true",
+        help="of --cluster ssh:FLEET: take the key of a host that this machine has never met for its own",
+    )
 
 
 def refuse_jobs(options: argparse.Namespace) -> None:
     """`InputError` where ``--jobs`` is given with ``--cluster``."""
     if options.cluster is not None and options.jobs is not None:
         raise InputError("--jobs is of this machine, a cluster's workers say it themselves: leave one out")
+
+
+def accepts_new_keys(options: argparse.Namespace) -> bool:
+    """``--accept-new-host-keys``; `InputError` where there are no hosts that are logged into."""
+    if options.accept_new_host_keys and not (options.cluster or "").startswith("ssh:"):
+        raise InputError("--accept-new-host-keys is of hosts that --cluster ssh:FLEET names: leave it out")
+    return bool(options.accept_new_host_keys)
 
 
 def cluster_wait_s(options: argparse.Namespace) -> float | None:

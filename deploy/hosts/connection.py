@@ -338,7 +338,8 @@ def _greeting(stream: IO[bytes]) -> dict[str, Any] | None:
 
 def _no_python(host: HostSection, found: str) -> str:
     if host.python is not None:
-        return f"{host.python} is no Python of 3.11 or later{f' ({found})' if found else ''}"
+        why = f" ({found})" if found else ": it is not there, or does not start"
+        return f"{host.python} is no Python of 3.11 or later{why}"
     instead = f" ({found})" if found else ""
     return (
         f"there is no Python of 3.11 or later on its PATH{instead}: install one, or name it in host."

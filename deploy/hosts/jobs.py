@@ -35,6 +35,8 @@ class HostJobs:
         accept_new: takes the keys of hosts that were never met before for their own.
         at_once: how many hosts are worked on at a time.
         look_s: how often it is looked what happens.
+        failed: is told of each host on which something goes wrong, at once and in the thread that works on
+            it; not of what is ended.
 
     Attributes:
         rows: by host, what happens there.
@@ -50,12 +52,13 @@ class HostJobs:
         accept_new: bool = False,
         at_once: int = ASKED_AT_ONCE,
         look_s: float = 0.1,
+        failed: Callable[[Row], None] = lambda _: None,
     ) -> None:
         self.rows: Final = {host.name: Row(host.name, robots_on(fleet, host)) for host in hosts}
         self.ended = False
         self._why = INTERRUPTED
         self._work, self._accept_new, self._look_s = work, accept_new, look_s
-        self._hosts = hosts
+        self._hosts, self._failed = hosts, failed
         self._connections: list[HostConnection] = []
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(min(len(hosts), at_once), "host")
@@ -114,3 +117,5 @@ class HostJobs:
             row.fail(self._why if self.ended else str(error))
         except Exception as error:  # a mistake of ours must not leave the others waiting for this host
             row.fail(f"{type(error).__name__}: {error}")
+        if row.is_wrong and not self.ended:
+            self._failed(row)

@@ -1,4 +1,5 @@
-"""`handfast sweep --cluster ssh:FLEET`: workers on test hosts; one is cut off, the other one's is killed."""
+"""`handfast sweep --cluster ssh:FLEET`: workers on test hosts; one is cut off, another one's is killed, a
+third host cannot be logged into."""
 
 from __future__ import annotations
 
@@ -45,6 +46,7 @@ def test_hosts_that_are_lost_cost_nothing_but_time(
     fetch_wheels(hosts[0], cache, WORKER_REQUIREMENTS)
     tables = tomllib.loads((FLEETS / "pair.toml").read_text(encoding="utf-8"))
     tables["host"] = {host.name: {"address": host.address} for host in hosts}
+    tables["host"]["elsewhere"] = {"address": "127.0.0.1", "port": 1}
     (tmp_path / "fleet.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
     words = [sys.executable, "-P", "-m", "deploy.cli", "sweep", *SWEEP]
     environment = {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)}
@@ -65,6 +67,7 @@ def test_hosts_that_are_lost_cost_nothing_but_time(
 
     try:
         wait_for(lambda: kept(2) and all(workers(host) for host in hosts), "rows, two workers", 200.0, told)
+        assert "host elsewhere: it is there, but no ssh server answers on that port" in told(), told()
         hosts[1].cut()
         for pid in workers(hosts[0]):
             if "spawn_main" in hosts[0].pids().get(pid, ""):

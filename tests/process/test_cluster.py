@@ -184,7 +184,7 @@ def test_a_worker_with_other_sources_is_given_nothing(tmp_path: Path) -> None:
         (text,) = told
         assert re.fullmatch(
             r"the worker tcp://\S+ \(other\) is given nothing: its sources of handfast are others "
-            r"\(\w+, here \w+\)",
+            r"\(\w+, here \w+\): install the same there and start it again",
             text,
         )
         other.add_worker()

@@ -14,6 +14,7 @@ from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import show
 from deploy.console.arguments import (
     InputError,
+    accepts_new_keys,
     cluster_wait_s,
     describe,
     engine_arguments,
@@ -128,7 +129,7 @@ def chaos(options: argparse.Namespace) -> int:
     if options.cluster is not None and options.write:
         raise InputError("--cluster drives scenarios, and with --write none is driven: leave one out")
     refuse_jobs(options)
-    wait_s = cluster_wait_s(options)
+    wait_s, accept_new = cluster_wait_s(options), accepts_new_keys(options)
     check_cluster(options.cluster)
     seeds = seeds_of(options.profile, options.seed, options.count)
     out = Path(options.out)
@@ -152,8 +153,9 @@ def chaos(options: argparse.Namespace) -> int:
             else:
                 work = Scenarios(options.shrink)
                 made = make_engine(
-                    options.cluster, work, jobs, TIMEOUT_S, progress, go_on=go_on, wait_s=wait_s
-                )
+                    options.cluster, work, jobs, TIMEOUT_S, progress, go_on=go_on, wait_s=wait_s,
+                    accept_new=accept_new,
+                )  # fmt: skip
                 results = stack.enter_context(made).results(seeds, go_on)
             try:
                 for driven in results:

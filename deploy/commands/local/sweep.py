@@ -13,6 +13,7 @@ from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
 from agent.fleet.model import FleetError
 from deploy.console.arguments import (
+    accepts_new_keys,
     change_arguments,
     cluster_wait_s,
     describe,
@@ -106,6 +107,7 @@ def sweep(options: argparse.Namespace) -> int:
                 raise SweepError(f"--jobs must be at least 1, got {jobs}")
             refuse_jobs(options)
             wait_s = cluster_wait_s(options)
+            accepts_new_keys(options)
             check_cluster(options.cluster)
             timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
             again, question = _question(options)
@@ -287,8 +289,9 @@ def _drive(
     if options.cluster is None:  # of a cluster's workers each is looked at before it gets a run
         runs = SameProgram(runs, sources, plan.cells)
     engine = make_engine(
-        options.cluster, runs, jobs, timeout_s, progress, plan.cells, go_on=go_on, wait_s=wait_s
-    )
+        options.cluster, runs, jobs, timeout_s, progress, plan.cells, go_on=go_on, wait_s=wait_s,
+        accept_new=options.accept_new_host_keys,
+    )  # fmt: skip
     with progress, engine:
         for row in engine.results(missing, go_on):
             folder.add(row)

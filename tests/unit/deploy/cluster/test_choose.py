@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -118,6 +119,28 @@ def test_a_package_that_is_lacking_is_named_with_its_extra(monkeypatch: pytest.M
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'handfast\[cluster\]'"):
         check_cluster("tcp://there:8786")
+
+
+@pytest.mark.parametrize("where", ["tcp://there:8786", "tls://there:8786"])
+@pytest.mark.parametrize(
+    ("text", "says"), [("distributed: [a", "dask.yaml' is malformed"), ("- a", "must have a dict")]
+)
+def test_a_configuration_of_dask_that_cannot_be_read_is_one_line(
+    where: str, text: str, says: str, tmp_path: Path
+) -> None:
+    (tmp_path / "dask.yaml").write_text(text)
+    code = (
+        "from deploy.cluster.choose import ClusterOptionError, check_cluster\n"
+        f"try:\n    check_cluster({where!r})\nexcept ClusterOptionError as error:\n    print(error)\n"
+    )
+    environment = dict(os.environ) | {"DASK_CONFIG": str(tmp_path)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    (line,) = done.stdout.splitlines()
+    assert line.startswith("Dask cannot be loaded with its configuration: ValueError: ")
+    assert str(tmp_path / "dask.yaml") in line
+    assert says in line
+    assert done.stderr == ""
 
 
 def test_plugins_of_a_fleet_go_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

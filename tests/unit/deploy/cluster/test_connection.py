@@ -7,11 +7,13 @@ import gc
 import socket
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 
 import pytest
 from distributed.security import Security
+from distributed.versions import VersionMismatchWarning
 
 from deploy.cluster import connection
 from deploy.cluster.connection import ClusterError, GivenUp, connected, patiently
@@ -85,6 +87,22 @@ def test_a_port_that_is_no_scheduler_is_given_up_and_leaves_nothing(
     gc.collect()
     assert time.monotonic() - begun_s < connection.CLOSE_S
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_of_versions_dask_shows_no_table_and_of_anything_else_what_it_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def warn(_self: object, timeout: float) -> None:
+        warnings.warn(VersionMismatchWarning("a table"), stacklevel=1)
+        warnings.warn("something else", stacklevel=1)
+
+    monkeypatch.setattr(connection.Client, "_start", warn)
+    with (
+        pytest.warns(UserWarning, match="something else") as caught,
+        connected("tcp://127.0.0.1:1", Security(), "it", lambda: True),
+    ):
+        pass
+    assert [str(each.message) for each in caught] == ["something else"]
 
 
 def test_nobody_waits_for_what_nobody_wants(no_scheduler: str) -> None:

@@ -6,8 +6,10 @@ import asyncio
 import gc
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import dask
 import pytest
 from distributed.client import AllExit, FutureCancelledError
 
@@ -259,7 +261,9 @@ def test_a_scheduler_that_is_gone_or_silent_ends_the_campaign() -> None:
 def test_without_a_worker_it_ends_with_the_reason() -> None:
     refused = Seen(time.monotonic() + 60.0, {}, refused=2)
     bench = Bench()
-    with pytest.raises(ClusterError, match="each has another installation than this one"):
+    with pytest.raises(
+        ClusterError, match="each has another installation than this one: give them this one, and"
+    ):
         bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
     bench = Bench(expects=lambda: 3)  # a third one is to come
     bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
@@ -318,6 +322,17 @@ def test_who_is_told_to_stop_before_there_is_a_connection_drives_nothing(
     monkeypatch.setattr(engine, "connected", refused)
     with Cluster("tcp://there:1", Numbers(), 9.0, files={}, say=print, go_on=lambda: False) as cluster:
         assert list(cluster.results(range(3), lambda: False)) == []
+
+
+def test_certificates_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
+    missing = str(tmp_path / "ca.pem")
+    settings = {"ca-file": missing, "client.cert": missing, "client.key": missing}
+    with (
+        dask.config.set({f"distributed.comm.tls.{name}": value for name, value in settings.items()}),
+        pytest.raises(ClusterError, match=rf"tls\.ca-file, {missing}: no such file or directory$"),
+        Cluster("tls://127.0.0.1:1", Numbers(), 9.0, files={}, say=print),
+    ):
+        raise AssertionError
 
 
 def test_what_dask_leaves_behind_is_not_shown_and_what_others_do_is(caplog: pytest.LogCaptureFixture) -> None:

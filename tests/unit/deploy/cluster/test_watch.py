@@ -12,7 +12,7 @@ import pytest
 
 from deploy.cluster import watch
 from deploy.cluster.connection import ClusterError
-from deploy.cluster.identity import SOURCES, identity
+from deploy.cluster.identity import NONE, SOURCES, identity
 from deploy.cluster.on_worker import PROCESS
 from deploy.cluster.watch import There, Watch, remote
 
@@ -96,7 +96,9 @@ def test_who_has_the_same_is_told_of_the_campaign_once() -> None:
     [
         ({"versions": "3.9.1.final.0"}, "it has Python 3.9, here is"),
         ({"about": ModuleNotFoundError("No module named 'deploy'")}, "it has no handfast like this one (Mod"),
+        ({"about": ModuleNotFoundError("deploy")}, "deploy): install the same there, pip install 'handfast["),
         ({"about": dict(identity()) | {"numpy": "1.0", PROCESS: "x"}}, "it has numpy 1.0, here is"),
+        ({"about": dict(identity()) | {"pymap3d": NONE, PROCESS: "x"}}, "it lacks the package pymap3d: pip"),
         (
             {"about": dict(identity()) | {SOURCES: "other", PROCESS: "x"}},
             "its sources of handfast are others",

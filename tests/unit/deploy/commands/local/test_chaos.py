@@ -118,6 +118,8 @@ def test_only_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         (["--profile", "slow"], "--profile must be one of mixed, cut-off"),
         (["--jobs", "0"], "--jobs must be at least 1, got 0"),
         (["--cluster", "tcp://there:1", "--write"], "--cluster drives scenarios, and with --write none is"),
+        (["--accept-new-host-keys"], "--accept-new-host-keys is of hosts that --cluster ssh:FLEET names"),
+        (["--cluster", "tcp://there:1", "--accept-new-host-keys"], "--accept-new-host-keys is of hosts that"),
         (["--cluster-wait", "10min"], "--cluster-wait is of a Dask scheduler that --cluster names"),
         (["--cluster", "ssh:delta", "--cluster-wait", "9s"], "--cluster-wait is of a Dask scheduler"),
         (["--cluster", "tcp://there:1", "--cluster-wait", "long"], "--cluster-wait must be a number (s)"),

@@ -1,0 +1,87 @@
+"""The certificates that Dask's own configuration names: where they cannot be used, which and why."""
+
+from __future__ import annotations
+
+import ssl
+from pathlib import Path
+from typing import Final
+
+import dask
+from distributed.security import Security
+
+from agent.common.wording import printable, show
+from deploy.cluster.connection import ClusterError
+from deploy.cluster.reasons import error_line
+
+_TLS: Final = "distributed.comm.tls."
+_CERTIFICATE: Final = ("-----BEGIN CERTIFICATE-----", "certificate")
+_KEY: Final = ("PRIVATE KEY-----", "private key")
+_FILES: Final = {"ca-file": _CERTIFICATE, "client.cert": _CERTIFICATE, "client.key": _KEY}
+"""Settings that name a file: what stands in it, and how that is called."""
+
+
+def configured_security() -> Security:
+    """Security of connections as Dask's configuration has it.
+
+    Raises:
+        ClusterError: it cannot be had so; the text names the setting, and its file.
+    """
+    try:
+        security = Security()
+        security.get_connection_args("client")
+    except Exception as error:  # of files, of what is in them, or of any other setting
+        why = _wrong_file() or _wrong_pair(error) or error_line(error)
+        raise ClusterError(f"the certificates of Dask's configuration cannot be used: {why}") from None
+    return security
+
+
+def _wrong_file() -> str:
+    """Which setting names a file that is none, or another one; empty when none does."""
+    for name, (marker, what) in _FILES.items():
+        value = _setting(name)
+        if value is None:
+            continue
+        if not isinstance(value, str):
+            return f"{_TLS}{name} must be the name of a file, and is {show(value)}"
+        if "\n" in value:  # what would be in the file
+            said, text = f"{_TLS}{name}", value
+        else:
+            said = f"{_TLS}{name}, {printable(value)}"
+            try:
+                text = Path(value).read_text(errors="replace")
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or str(error)
+                return f"{said}: {reason.lower()}"
+        if marker not in text:
+            return f"{said}: there is no {what} in it (PEM)"
+    return ""
+
+
+def _wrong_pair(error: Exception) -> str:
+    """What of the files, each of which is what it should be, does not fit; empty when that is unknown."""
+    if not isinstance(error, ssl.SSLError):
+        return ""
+    pair = [f"{_TLS}{name}{_named(name)}" for name in ("client.key", "client.cert")]
+    if error.reason == "KEY_VALUES_MISMATCH":
+        return f"{pair[0]}: it is not the key of the certificate in {pair[1]}"
+    if _setting("client.key") is None:
+        return f"{_TLS}client.key names no file, and there is no private key in {pair[1]}"
+    ca = str(_setting("ca-file"))
+    try:
+        if "\n" in ca:
+            ssl.create_default_context(cadata=ca)
+        else:
+            ssl.create_default_context(cafile=ca)
+    except (OSError, ValueError) as wrong:
+        return f"{_TLS}ca-file{_named('ca-file')}: it cannot be read ({error_line(wrong)})"
+    return f"{pair[0]}, or {pair[1]}: one cannot be read ({error_line(error)})"
+
+
+def _setting(name: str) -> object:
+    return dask.config.get(_TLS + name, None)
+
+
+def _named(name: str) -> str:
+    """The file that a setting names, if it does."""
+    value = _setting(name)
+    return f", {printable(value)}" if isinstance(value, str) and "\n" not in value else ""
