@@ -12,7 +12,6 @@ from agent.common.errors import Error, packages_named
 from agent.common.wording import printable
 from agent.common.wording import show as shown
 from agent.fleet.model import Fleet
-from deploy.cluster.identity import refuse_lacking
 from deploy.cluster.reasons import error_line
 from deploy.console.arguments import fleet_path
 from deploy.hosts.artifacts.plugin_files import files_of_plugins
@@ -108,6 +107,8 @@ def check_cluster(cluster: str | None) -> None:
         except Exception as error:  # of its configuration, which Dask reads when it is imported
             why = error_line(error)
             raise ClusterOptionError(f"Dask cannot be loaded with its configuration: {why}") from None
+    from deploy.cluster.identity import refuse_lacking
+
     refuse_lacking()
 
 
