@@ -1,7 +1,8 @@
 """What starts a Dask worker on a host of a fleet, beside `deploy.hosts.remote_program`, and ends it.
 
 It is sent along when it is needed (`deploy.hosts.connection.HostConnection.extend`), and imports nothing but
-the standard library and that program. The worker ends with the program, and that with its ssh connection.
+the standard library and that program. The worker ends with the program, and that with its ssh connection, or
+after its worker where nobody asks about that any more: the end of a connection that was cut is not heard of.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -21,12 +24,19 @@ from deploy.hosts.remote_program import HostError, inside, request
 
 MODULE: Final = "deploy.cluster.worker_process"
 TEXT_MAX: Final = 300
+UNASKED_S: Final = 120.0
+"""A campaign asks every second."""
 
 
 class Started:
-    """A worker's process, in a process group of its own, and its folder."""
+    """A worker's process, in a process group of its own, and its folder.
+
+    Attributes:
+        asked: how often somebody has asked whether it has ended.
+    """
 
     def __init__(self, python: Path, settings: dict[str, Any]) -> None:
+        self.asked = 0
         self.folder: Final = Path(tempfile.mkdtemp(prefix="handfast-worker-"))
         self._log: Final = self.folder / "log"
         with open(self._log, "wb") as log:
@@ -60,6 +70,16 @@ class Started:
         self.process.communicate()
         shutil.rmtree(self.folder, ignore_errors=True)
 
+    def outlive(self) -> None:
+        """Ends this program when the worker has ended, and for so long nobody has asked about it."""
+        self.process.wait()
+        before = -1
+        while before != self.asked:
+            before = self.asked
+            time.sleep(UNASKED_S)
+        self.end()
+        os._exit(1)  # the main thread reads from a connection that may never end
+
 
 _started: Final[list[Started]] = []
 
@@ -77,9 +97,11 @@ def start_worker(version: str, port: int, settings: dict[str, Any]) -> None:
     found = Started(python, settings | {"scheduler": scheduler, "host": here, "threads": threads})
     _started.append(found)
     atexit.register(found.end)
+    threading.Thread(target=found.outlive, daemon=True).start()
 
 
 @request
 def worker_ended() -> str:
     """How the worker that was started last ended, empty while it runs."""
+    _started[-1].asked += 1
     return _started[-1].ended()

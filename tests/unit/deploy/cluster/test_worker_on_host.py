@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ import pytest
 from deploy.cluster import worker_on_host
 from deploy.cluster.worker_on_host import Started
 from deploy.hosts.remote_program import HostError
-from tests.process.harness import running, wait_for
+from tests.process.harness import environment, running, wait_for
 
 
 def program(folder: Path, text: str) -> Path:
@@ -65,3 +67,38 @@ def test_without_ssh_nobody_says_where_the_scheduler_is(monkeypatch: pytest.Monk
     monkeypatch.delitem(os.environ, "SSH_CONNECTION", raising=False)
     with pytest.raises(HostError, match="SSH_CONNECTION"):
         worker_on_host.start_worker("1", 8786, {})
+
+
+ORPHAN = """
+import json, pathlib, sys
+from deploy.cluster import worker_on_host
+worker_on_host.UNASKED_S = 0.3
+worker_on_host.inside = lambda _: pathlib.Path(sys.argv[1])
+worker_on_host.start_worker("1", 8786, {})
+print(worker_on_host._started[-1].folder, flush=True)
+for _ in sys.stdin:
+    print(worker_on_host.worker_ended(), flush=True)
+"""
+
+
+def test_it_ends_after_its_worker_where_nobody_asks_any_more(tmp_path: Path) -> None:
+    """Its connection may have been cut: then it reads from it for ever."""
+    (tmp_path / "bin").mkdir()
+    program(tmp_path / "bin", "import sys; sys.exit('the scheduler is gone')")
+    command = [sys.executable, "-c", ORPHAN, str(tmp_path)]
+    surroundings = environment() | {"SSH_CONNECTION": "127.0.0.1 50000 127.0.0.1 22"}
+    with subprocess.Popen(
+        command, env=surroundings, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        folder = Path(child.stdout.readline().strip())
+        said = ""
+        until_s = time.monotonic() + 1.0
+        while time.monotonic() < until_s or not said:  # for longer than it is left alone
+            print(file=child.stdin, flush=True)
+            said = child.stdout.readline().strip()
+        assert said == "its worker ended (status 1): the scheduler is gone"
+        assert folder.exists()
+        assert child.wait(30.0) == 1, "its standard input is open still"
+    assert not folder.exists()
