@@ -90,12 +90,22 @@ class Interrupt:
 
         Args:
             raises: each also raises KeyboardInterrupt, where what is under way may be broken off.
+
+        Raises:
+            KeyboardInterrupt: at the end, where one was swallowed: of what is raised while an object is
+                finalized, as that may be at any time, Python only prints a traceback.
         """
+        before, hook = self.count, sys.unraisablehook
         self._answer, self._raises = text, raises
+        if raises:
+            sys.unraisablehook = lambda what: None if what.exc_type is KeyboardInterrupt else hook(what)
         try:
             yield
+            if raises and self.count > before:
+                raise KeyboardInterrupt
         finally:
             self._answer, self._raises = "", False
+            sys.unraisablehook = hook
 
     @contextmanager
     def caught(self) -> Iterator[Interrupt]:

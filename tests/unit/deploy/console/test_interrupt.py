@@ -80,6 +80,22 @@ def test_what_may_be_broken_off_is(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr().err == "SIGTERM: it is left out\n"
 
 
+def test_one_that_comes_while_an_object_is_finalized_is_not_lost(capfd: pytest.CaptureFixture[str]) -> None:
+    """Python swallows what is raised there, and prints a traceback."""
+
+    class Finalized:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    hook = sys.unraisablehook
+    with Interrupt().caught() as interrupt:
+        with pytest.raises(KeyboardInterrupt), interrupt.answered("it is left out", raises=True):
+            Finalized()
+        assert interrupt.count == 1
+    assert capfd.readouterr().err == "SIGINT: it is left out\n"
+    assert sys.unraisablehook is hook
+
+
 def test_one_that_is_ignored_stays_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with remembered():
