@@ -21,10 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _export(options: argparse.Namespace) -> int:
+    from deploy.console.interrupt import Interrupt
     from deploy.report.export import export
 
     out = Path(options.out) if options.out else None
-    for path in export(Path(options.folder), options.format, out, warn=_warn):
+    with Interrupt().caught() as interrupt, interrupt.answered("nothing is exported", raises=True):
+        written = export(Path(options.folder), options.format, out, warn=_warn)
+    for path in written:
         print(path)
     return PASSED
 

@@ -55,6 +55,7 @@ def _number(least: float, most: float) -> Callable[[str], float]:
 
 
 def _film(options: argparse.Namespace) -> int:
+    from deploy.console.interrupt import Interrupt
     from deploy.recording.mcap_reader import read_run
     from deploy.report.film import film, name_for
     from deploy.verdict.run_result import RunResult
@@ -69,10 +70,9 @@ def _film(options: argparse.Namespace) -> int:
         if done * 10 // count > (done - 1) * 10 // count:
             print(f"{done} of {count} pictures", file=sys.stderr)
 
-    long_s = film(
-        RunResult(recording), out,
-        speed=options.speed, fps=options.fps, width_px=options.width, shown=shown,
-    )  # fmt: skip
+    result = RunResult(recording)
+    with Interrupt().caught() as interrupt, interrupt.answered("no film is made", raises=True):
+        long_s = film(result, out, speed=options.speed, fps=options.fps, width_px=options.width, shown=shown)
     print(f"{long_s:.1f} s to see", file=sys.stderr)
     print(out)
     return PASSED

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from agent.common.exit import PASSED
+from agent.common.exit import INTERRUPTED, PASSED
 from agent.messages.codec import encode
 from deploy.cli import main
 from deploy.recording.mcap_reader import read_run
@@ -173,6 +174,19 @@ def test_what_is_not_written_to_its_end_changes_nothing(
         named = run / "export" / f"distances.{format}"
         assert str(caught.value) == f"cannot write {named}: No space left on device"
     assert {path: path.read_bytes() for path in (run / "export").iterdir()} == before
+
+
+def test_a_command_that_is_ended_leaves_nothing(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def ended(path: Path, _columns: export_module.Columns) -> None:
+        path.touch()
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(export_module, "_table_writer", lambda _format: ended)
+    assert main(["export", str(run), "--format", "csv"]) == INTERRUPTED
+    assert capfd.readouterr().err == "SIGTERM: nothing is exported\n"
+    assert list((run / "export").iterdir()) == []
 
 
 def test_what_was_done_to_messages(tmp_path: Path) -> None:
