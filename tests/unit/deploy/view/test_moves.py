@@ -94,7 +94,7 @@ def test_nothing_is_moved_before_there_is_a_mission() -> None:
 
 
 def test_places_beyond_all_bounds_are_refused() -> None:
-    far = order("reshape", scale=1000.0)
+    far = order("reshape", scale=1000.0, over_s=600.0)
     with pytest.raises(RefusedError, match=r"formation\.offsets"):
         order_to_move({"by": {"3": [1e6, 1e6]}}, after(far, PLAN, FLEET)[1], FLEET)
 
