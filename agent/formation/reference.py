@@ -7,10 +7,11 @@ is over, r_old and r_new the desired motions before and after,
 
 S' and S'' are zero at both ends, so position, velocity and acceleration are continuous; r_old may be in a
 blend as well. Where many blends are within one another, what is left of them at that time, e = r_old - r,
-with r the motion of the latest of their missions, dies away until the last of them were over, at T:
+with r the motion of the latest of their missions, dies away: the velocity of it as soon as it is braked, in
+T_v, so that it carries nobody far, and the rest until the last of them were over, or later, in T,
 
-    r_old = r + e A(s) + T e' B(s) + T^2 e'' C(s),    A = 1 - S,    B = s - 6 s^3 + 8 s^4 - 3 s^5,
-    C = (s^2 - 3 s^3 + 3 s^4 - s^5) / 2    (M2)
+    r_old = r + e A(t/T) + T_v e' B(t/T_v) + T_v^2 e'' C(t/T_v)
+    A = 1 - S,    B(s) = s - 6 s^3 + 8 s^4 - 3 s^5,    C(s) = (s^2 - 3 s^3 + 3 s^4 - s^5) / 2    (M2)
 
 which is continuous likewise, and they need not be remembered. All this is a function of the missions and the
 time: robots that have the same missions agree, and one that missed some agrees with the others as soon as the
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import hypot
+from math import hypot, sqrt
 from typing import Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN, Vector
@@ -41,6 +42,12 @@ WITHIN_MAX: Final = 8
 """So many blends may be within one another: of more, what is left of them dies away (M2)."""
 KEPT_MAX: Final = 2 * WITHIN_MAX
 """So many segments are remembered: twice as many as one in force may come from, for those still to come."""
+RATE_MAX: Final = 15.0 / 8.0
+BEND_MAX: Final = 10.0 / sqrt(3.0)
+BRAKING_MAX: Final = 4.0
+"""No S' is greater, no |S''|, and no |B''| of (M2)."""
+SHARE: Final = 1.0 / 3.0
+"""Of the greatest speed, and of the greatest acceleration: what is left of blends takes no more of either."""
 _INSTANTS_MAX: Final = 64
 _Three = tuple[float, float, float]
 _Shape = tuple[_Three, _Three, _Three]
@@ -120,7 +127,7 @@ class _Settling(Instant):
 
     Args:
         left: of each robot's motion when they were left: position, velocity and acceleration from the plan's.
-        shape: A, T B and T^2 C, and their first and second derivatives by time.
+        shape: A, T_v B and T_v^2 C, and their first and second derivatives by time.
     """
 
     __slots__ = "left", "shape"
@@ -148,9 +155,10 @@ class _Settling(Instant):
 
 class _Left(NamedTuple):
     """What is left of blends when they are not followed any more: of the motion of each member
-    (`_Settling`), and of its edges (`Reference._weighted`)."""
+    (`_Settling`), with T_v in s, and of its edges (`Reference._weighted`)."""
 
     motion: dict[int, Sample]
+    braked_s: float
     edges: dict[int, dict[int, _Three]]
 
 
@@ -249,13 +257,22 @@ class Reference:
             until_ns = max(until_ns, segment.begin_ns + segment.blend_ns)
         there, alone = self._instant(index, time_ns), Instant(plan.reference(time_ns), dict(plan.offsets))
         left = {robot: _less(there.motion(robot), alone.motion(robot)) for robot in plan.offsets}
+        control = self._made_of[0].control
+        away = max((hypot(e[0], e[1]) for e in left.values()), default=0.0)
+        speed = max((hypot(e[2], e[3]) for e in left.values()), default=0.0)
+        slow_s = max(
+            RATE_MAX * away / (SHARE * control.max_speed_mps),
+            sqrt(BEND_MAX * away / (SHARE * control.max_acceleration)),
+        )
+        braked_s = max(1.0, BRAKING_MAX * speed / (SHARE * control.max_acceleration))
+        blend_ns = max(until_ns - time_ns, round(max(slow_s, braked_s) * NS_PER_S))
         edges = {robot: self._weighted(index, robot, time_ns) for robot in plan.offsets}
         for robot, known in edges.items():
             for other, (excess, _, weight) in known.items():
                 gone = None if other in plan.offsets else there.latest(other)
                 if gone is not None:  # it goes on no more
                     known[other] = excess, _apart(there.motion(robot), gone)[0], weight
-        return _Segment(plan, time_ns, until_ns - time_ns, _Left(left, edges))
+        return _Segment(plan, time_ns, blend_ns, _Left(left, braked_s, edges))
 
     def frozen(self) -> Reference:
         """The reference as it is now, whatever missions come."""
@@ -365,7 +382,7 @@ class Reference:
         if since_ns >= segment.blend_ns:
             return Instant(sample, segment.offsets)
         if segment.left is not None:
-            shape = _dying_shape(since_ns / segment.blend_ns, segment.blend_ns / NS_PER_S)
+            shape = _dying_shape(since_ns / NS_PER_S, segment.blend_ns / NS_PER_S, segment.left.braked_s)
             return _Settling(sample, segment.offsets, segment.left.motion, shape)
         share, rate, bend = blend_shape(since_ns / segment.blend_ns)
         per_s = NS_PER_S / segment.blend_ns
@@ -421,18 +438,19 @@ def _less(one: Sample, other: Sample) -> Sample:
     return x - x0, y - y0, vx - vx0, vy - vy0, ax - ax0, ay - ay0
 
 
-def _dying_shape(s: float, seconds: float) -> _Shape:
-    """A, T B and T^2 C of (M2) at the share s of T, within [0, 1], and their derivatives by time."""
-    share, rate, bend = blend_shape(s)
+def _dying_shape(t: float, seconds: float, braked_s: float) -> _Shape:
+    """A, T_v B and T_v^2 C of (M2) a time t after, within [0, T], and their derivatives by time."""
+    share, rate, bend = blend_shape(t / seconds)
+    s = min(1.0, t / braked_s)
     b, c = s * (1.0 + s * s * (s * (8.0 - 3.0 * s) - 6.0)), 0.5 * s * s * (1.0 - s) ** 3
     db = 1.0 + s * s * (s * (32.0 - 15.0 * s) - 18.0)
     dc = 0.5 * s * (1.0 - s) ** 2 * (2.0 - 5.0 * s)
     ddb = s * (s * (96.0 - 60.0 * s) - 36.0)
     ddc = 1.0 + s * (s * (18.0 - 10.0 * s) - 9.0)
     return (
-        (1.0 - share, seconds * b, seconds * seconds * c),
-        (-rate / seconds, db, seconds * dc),
-        (-bend / (seconds * seconds), ddb / seconds, ddc),
+        (1.0 - share, braked_s * b, braked_s * braked_s * c),
+        (-rate / seconds, db, braked_s * dc),
+        (-bend / (seconds * seconds), ddb / braked_s, ddc),
     )
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Any
 
 import pytest
 
 from agent.fleet.model import Fleet
 from agent.fleet.orders import ShapeSection
+from agent.fleet.sections import TrajectorySection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of
 from agent.formation.reference import KEPT_MAX, LEAVE_FADE_NS, Edge, Reference
@@ -255,6 +257,21 @@ def test_however_many_changes_meet_each_other_the_motion_is_continuous(every_s: 
         assert are == {other: pytest.approx(edge, abs=1e-9) for other, edge in were.items()}
     end_ns = at(plans[-1], 1.0)
     assert made.motion(2, end_ns) == pytest.approx(reference(FIRST, plans[-1]).motion(2, end_ns))
+
+
+def test_what_is_left_of_many_changes_carries_nobody_far():
+    """Each is made as an operator's, who takes it to be as slow as the limits need."""
+    plans = [FIRST]
+    for k in range(10):
+        x, y = ((2.0, 6.0), (-2.0, 0.0))[k % 2]
+        circle = TrajectorySection("circle", centre_m=(x, y), radius_m=3.0, speed_mps=0.3)
+        plans.append(changed(order("reshape", trajectory=circle), plans[-1], at_s=10.0 + k))
+    made = reference(*plans)
+    samples = [made.motion(2, EPOCH + k * S // 5) for k in range(5 * 300)]
+    assert max(hypot(x, y) for x, y, *_ in samples) < 20.0
+    # The first three, each in the midst of the one before, already come to 1.6 m/s.
+    assert max(hypot(vx, vy) for _, _, vx, vy, *_ in samples) < 1.1 * FLEET.control.max_speed_mps
+    assert max(hypot(ax, ay) for *_, ax, ay in samples) < 1.1 * FLEET.control.max_acceleration / 3.0
 
 
 def test_the_derivatives_of_what_is_left_of_many_changes_are_those_of_its_motion():
