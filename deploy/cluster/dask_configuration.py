@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ssl
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -26,13 +27,30 @@ def configured_security() -> Security:
     Raises:
         ClusterError: it cannot be had so; the text names the setting, and its file.
     """
-    try:
-        security = Security()
-        security.get_connection_args("client")
-    except Exception as error:  # of files, of what is in them, or of any other setting
-        why = _wrong_file() or _wrong_pair(error) or error_line(error)
-        raise ClusterError(f"the certificates of Dask's configuration cannot be used: {why}") from None
-    return security
+    # OpenSSL would ask for a pass phrase, whoever is there, and hear of no Ctrl-C.
+    why = _encrypted_key()
+    if not why:
+        try:
+            security = Security()
+            security.get_connection_args("client")
+            return security
+        except Exception as error:  # of files, of what is in them, or of any other setting
+            why = _wrong_file() or _wrong_pair(error) or error_line(error)
+    raise ClusterError(f"the certificates of Dask's configuration cannot be used: {why}")
+
+
+def _encrypted_key() -> str:
+    """Which setting names a private key that needs a pass phrase; empty when none does."""
+    for name in ("client.key", "client.cert"):
+        value = _setting(name)
+        text = ""
+        if isinstance(value, str):
+            with suppress(OSError, ValueError):  # that is said later
+                text = value if "\n" in value else Path(value).read_text(errors="replace")
+        if "ENCRYPTED" in text:
+            why = "its private key needs a pass phrase, for which nobody is asked: give one that needs none"
+            return f"{_TLS}{name}{_named(name)}: {why} (openssl pkey -in OLD -out NEW)"
+    return ""
 
 
 def _wrong_file() -> str:
@@ -59,7 +77,7 @@ def _wrong_file() -> str:
 
 def _wrong_pair(error: Exception) -> str:
     """What of the files, each of which is what it should be, does not fit; empty when that is unknown."""
-    if not isinstance(error, ssl.SSLError):
+    if not isinstance(error, ssl.SSLError) or not hasattr(error, "reason"):  # one of no files has none
         return ""
     pair = [f"{_TLS}{name}{_named(name)}" for name in ("client.key", "client.cert")]
     if error.reason == "KEY_VALUES_MISMATCH":

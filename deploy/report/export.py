@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -40,7 +39,7 @@ from deploy.recording.link_table import LinkTable
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 from deploy.recording.tables import StatusTable, Table, columns
-from deploy.report.whole_file import whole_file
+from deploy.report.whole_file import whole_files
 from deploy.verdict.metrics import MESSAGES
 from deploy.verdict.run_result import RunResult
 
@@ -203,9 +202,9 @@ def _tables_writer(format: str) -> Writer:
         tables = tabulate(result)
         paths = {target / f"{name}.{format}": table for name, table in tables.items()}
         target.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as until_all_are_written:
-            for path, table in paths.items():
-                write_table(until_all_are_written.enter_context(whole_file(path)), table)
+        with whole_files(list(paths)) as parts:
+            for part, table in zip(parts, paths.values(), strict=True):
+                write_table(part, table)
         return list(paths)
 
     return write

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import signal
+import threading
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from deploy.recording.recorder import RecordingError
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
@@ -16,13 +21,46 @@ def whole_file(out: Path, error_type: type[RecordingError] = RecordingError) -> 
     Raises:
         RecordingError: it cannot be written; of `error_type`.
     """
-    part = out.with_name(f".{out.stem}.part{out.suffix}")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        yield part
-        part.replace(out)
+        with whole_files([out]) as (part,):
+            yield part
     except OSError as error:
         raise error_type(f"cannot write {out}: {error.strerror or error}") from error
+
+
+@contextmanager
+def whole_files(outs: Sequence[Path]) -> Iterator[list[Path]]:
+    """A file beside each of these, that take their names once all are whole, and are gone if one never is.
+
+    Raises:
+        OSError: one cannot be written.
+    """
+    parts = [out.with_name(f".{out.stem}.part{out.suffix}") for out in outs]
+    try:
+        for out in outs:
+            out.parent.mkdir(parents=True, exist_ok=True)
+        yield parts
+        with _uninterrupted():
+            for part, out in zip(parts, outs, strict=True):
+                part.replace(out)
     finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+        for part in parts:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C and its like come at its end."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # it hears of none
+        return
+    came: list[int] = []
+    before = {number: signal.signal(number, lambda which, _: came.append(which)) for number in _SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+    for one in dict.fromkeys(came):
+        signal.raise_signal(one)

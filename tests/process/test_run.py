@@ -12,6 +12,7 @@ import socket
 import termios
 import time
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -225,6 +226,15 @@ def test_ctrl_c_in_mid_drive(tmp_path: Path) -> None:
         assert ends == f"{name}: ending (SIGTERM)"
 
 
+@pytest.fixture
+def without_nohup() -> Iterator[None]:
+    """What is started hears of a hang-up, also where these tests are to outlive one."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("without_nohup")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["sigterm", "sighup"])
 def test_other_signals_end_a_run_in_order(tmp_path: Path, number: signal.Signals) -> None:
     with drive(tmp_path, "pair", "--no-report") as command:

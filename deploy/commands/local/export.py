@@ -25,7 +25,7 @@ def _export(options: argparse.Namespace) -> int:
     from deploy.report.export import export
 
     out = Path(options.out) if options.out else None
-    with Interrupt().caught() as interrupt, interrupt.answered("nothing is exported", raises=True):
+    with Interrupt().caught() as interrupt, interrupt.answered("it ends here", raises=True):
         written = export(Path(options.folder), options.format, out, warn=_warn)
     for path in written:
         print(path)

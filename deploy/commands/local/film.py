@@ -71,7 +71,7 @@ def _film(options: argparse.Namespace) -> int:
             print(f"{done} of {count} pictures", file=sys.stderr)
 
     result = RunResult(recording)
-    with Interrupt().caught() as interrupt, interrupt.answered("no film is made", raises=True):
+    with Interrupt().caught() as interrupt, interrupt.answered("it ends here", raises=True):
         long_s = film(result, out, speed=options.speed, fps=options.fps, width_px=options.width, shown=shown)
     print(f"{long_s:.1f} s to see", file=sys.stderr)
     print(out)

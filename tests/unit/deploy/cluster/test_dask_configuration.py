@@ -15,13 +15,14 @@ from deploy.cluster.on_hosts import credentials
 TLS = "distributed.comm.tls"
 KEY, CERTIFICATE = credentials()
 OTHER_KEY, _ = credentials()
+LOCKED = "-----BEGIN ENCRYPTED PRIVATE KEY-----\nMIIF\n-----END ENCRYPTED PRIVATE KEY-----\n"
 GARBAGE = "-----BEGIN CERTIFICATE-----\nnothing\n-----END CERTIFICATE-----\n"
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> Path:
     texts = {"ca": CERTIFICATE, "cert": CERTIFICATE, "key": KEY, "other-key": OTHER_KEY}
-    for name, text in (texts | {"text": "hello\n", "garbage": GARBAGE}).items():
+    for name, text in (texts | {"text": "hello\n", "garbage": GARBAGE, "locked": LOCKED}).items():
         (tmp_path / f"{name}.pem").write_text(text)
     return tmp_path
 
@@ -79,6 +80,11 @@ def test_where_nothing_is_configured_there_are_no_certificates() -> None:
             "FOLDER/cert.pem",
         ),
         ({"ca": 7}, f"{TLS}.ca-file must be the name of a file, and is 7"),
+        (
+            {"key": "locked"},
+            f"{TLS}.client.key, FOLDER/locked.pem: its private key needs a pass phrase, for which nobody is "
+            "asked: give one that needs none (openssl pkey -in OLD -out NEW)",
+        ),
     ],
 )
 def test_what_is_wrong_is_one_line_that_names_the_setting_and_its_file(
@@ -99,6 +105,15 @@ def test_what_is_wrong_is_one_line_that_names_the_setting_and_its_file(
 )
 def test_what_only_looks_like_a_certificate_is_named(name: str, says: str, files: Path) -> None:
     with setting(files, **{name: "garbage"}), pytest.raises(ClusterError, match=rf"{re.escape(TLS)}\.{says}"):
+        configured_security()
+
+
+def test_ciphers_that_there_are_none_of_are_one_line(files: Path) -> None:
+    with (
+        setting(files),
+        dask.config.set({f"{TLS}.ciphers": "rubbish"}),
+        pytest.raises(ClusterError, match=r"cannot be used: SSLError: .*cipher"),
+    ):
         configured_security()
 
 

@@ -171,8 +171,8 @@ def test_what_is_not_written_to_its_end_changes_nothing(
     ) as caught:
         export(run, format)
     if isinstance(ending, OSError):
-        named = run / "export" / f"distances.{format}"
-        assert str(caught.value) == f"cannot write {named}: No space left on device"
+        named = run / "export"
+        assert str(caught.value) == f"cannot write the export to {named}: No space left on device"
     assert {path: path.read_bytes() for path in (run / "export").iterdir()} == before
 
 
@@ -185,7 +185,7 @@ def test_a_command_that_is_ended_leaves_nothing(
 
     monkeypatch.setattr(export_module, "_table_writer", lambda _format: ended)
     assert main(["export", str(run), "--format", "csv"]) == INTERRUPTED
-    assert capfd.readouterr().err == "SIGTERM: nothing is exported\n"
+    assert capfd.readouterr().err == "SIGTERM: it ends here\n"
     assert list((run / "export").iterdir()) == []
 
 

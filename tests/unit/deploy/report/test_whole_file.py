@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 from errno import ENOSPC
 from pathlib import Path
 
 import pytest
 
 from deploy.recording.recorder import RecordingError
-from deploy.report.whole_file import whole_file
+from deploy.report.whole_file import whole_file, whole_files
 
 
 def test_it_takes_its_name_once_it_is_whole(tmp_path: Path) -> None:
@@ -39,3 +40,35 @@ def test_what_was_there_stays_where_it_never_is(tmp_path: Path, error: BaseExcep
         assert str(caught.value) == f"cannot write {out}: No space left on device"
     assert out.read_text() == "before"
     assert [*tmp_path.iterdir()] == [out]
+
+
+def test_of_many_all_take_their_names_or_none_though_a_signal_comes_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outs = [tmp_path / name for name in ("a.csv", "b.csv", "c.csv")]
+    replace, replaced = Path.replace, []
+
+    def interrupted(part: Path, out: Path) -> None:
+        if len(replaced) == 1:
+            signal.raise_signal(signal.SIGTERM)
+        replaced.append(out)
+        replace(part, out)
+
+    def raises(number: int, _frame: object) -> None:
+        raise KeyboardInterrupt(number)
+
+    def write() -> None:
+        with whole_files(outs) as parts:
+            for part in parts:
+                part.write_text("new")
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    before = signal.signal(signal.SIGTERM, raises)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            write()
+        assert signal.getsignal(signal.SIGTERM) is raises
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert replaced == outs
+    assert sorted(tmp_path.iterdir()) == outs
