@@ -136,6 +136,8 @@ def ordered(
     if order.over_s is not None:
         return mission._replace(blend_ns=round(order.over_s * NS_PER_S))
     blend_ns = blend_ns_for(plan, after, fleet)
+    if blend_ns is None and order.kind in ("leave", "remove"):
+        blend_ns = round(BLEND_MAX_S * NS_PER_S)  # nobody else goes elsewhere for it: it is never too late
     if blend_ns is None:
         goes_on = plan.from_ns + plan.blend_ns > from_ns
         raise OrderError(

@@ -520,6 +520,7 @@ def test_what_no_blend_does_is_refused_but_where_it_is_said_how_long(given: Any)
     large = plan_after(order("reshape", scale=60.0, over_s=600.0))
     with pytest.raises(OrderError, match="by what is left of the change before it: order it in parts"):
         plan_after(order("reshape", scale=0.01), large, at_s=12.0)
+    assert plan_after(order("leave", robot=2), large, at_s=12.0).blend_ns == BLEND_MAX_S * S
 
 
 def test_who_only_comes_and_goes_needs_the_least_blend():
