@@ -46,7 +46,7 @@ RATE_MAX: Final = 15.0 / 8.0
 BEND_MAX: Final = 10.0 / sqrt(3.0)
 BRAKING_MAX: Final = 4.0
 """No S' is greater, no |S''|, and no |B''| of (M2)."""
-SHARE: Final = 1.0 / 3.0
+LEFT_SHARE: Final = 1.0 / 3.0
 """Of the greatest speed, and of the greatest acceleration: what is left of blends takes no more of either."""
 _INSTANTS_MAX: Final = 64
 _Three = tuple[float, float, float]
@@ -261,10 +261,10 @@ class Reference:
         away = max((hypot(e[0], e[1]) for e in left.values()), default=0.0)
         speed = max((hypot(e[2], e[3]) for e in left.values()), default=0.0)
         slow_s = max(
-            RATE_MAX * away / (SHARE * control.max_speed_mps),
-            sqrt(BEND_MAX * away / (SHARE * control.max_acceleration)),
+            RATE_MAX * away / (LEFT_SHARE * control.max_speed_mps),
+            sqrt(BEND_MAX * away / (LEFT_SHARE * control.max_acceleration)),
         )
-        braked_s = max(1.0, BRAKING_MAX * speed / (SHARE * control.max_acceleration))
+        braked_s = max(1.0, BRAKING_MAX * speed / (LEFT_SHARE * control.max_acceleration))
         blend_ns = max(until_ns - time_ns, round(max(slow_s, braked_s) * NS_PER_S))
         edges = {robot: self._weighted(index, robot, time_ns) for robot in plan.offsets}
         for robot, known in edges.items():

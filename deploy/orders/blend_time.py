@@ -12,7 +12,6 @@ thirds are left to the law; the speed below the greatest one. S' is 15/8 at most
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -21,7 +20,7 @@ from agent.common.time import NS_PER_S
 from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
-from agent.formation.reference import blend_shape
+from agent.formation.reference import BEND_MAX, RATE_MAX, blend_shape
 
 BLEND_MIN_S: Final = 1.0
 BLEND_MAX_S: Final = 600.0
@@ -29,8 +28,6 @@ _ACCELERATION_SHARE: Final = 1.0 / 3.0
 _SPEED_SHARE: Final = 0.25
 _LONGER: Final = 1.1
 _SAMPLES: Final = 65
-_RATE_MAX: Final = 15.0 / 8.0
-_BEND_MAX: Final = 10.0 / sqrt(3.0)
 
 
 def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int | None:
@@ -70,7 +67,7 @@ def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int | None:
         if accelerations.max() <= acceleration_max:
             if speeds.max() <= most:
                 return round(seconds * NS_PER_S)
-            if not enough and _RATE_MAX * to_go <= _SPEED_SHARE * most * seconds:
+            if not enough and RATE_MAX * to_go <= _SPEED_SHARE * most * seconds:
                 enough = seconds
         seconds *= _LONGER
     return round(enough * NS_PER_S) if enough else None
@@ -82,5 +79,5 @@ def _unfinished(before: Plan, from_ns: int, speed_max: float, acceleration_max: 
     if before.from_ns <= before.mission.epoch_ns or since_ns >= before.blend_ns:
         return 0.0
     seconds = before.blend_ns / NS_PER_S
-    way = min(speed_max * seconds / _RATE_MAX, acceleration_max * seconds * seconds / _BEND_MAX)
+    way = min(speed_max * seconds / RATE_MAX, acceleration_max * seconds * seconds / BEND_MAX)
     return way * (1.0 - blend_shape(max(0, since_ns) / before.blend_ns)[0])
