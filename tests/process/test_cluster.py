@@ -21,7 +21,8 @@ from tests.process.killing_work import HANGS, KILLS, KillingWork
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # Dask's own, of sockets of the dead
 SWEEP = ("pair", "--duration", "3s", "--over", "control.kp=0.5,1", "--over", "faults.delay=0..200ms")
-REPEAT = ("--repeat", "5", "--random-starts")
+REPEAT = ("--repeat", "5", "--random-starts", "--duration", "30s")
+"""Each run so long that a loss is seen before the others are driven."""
 STATUS_S = 100.0
 
 
