@@ -126,7 +126,7 @@ class OrderSection:
     over_s: float | None = setting(
         None,
         "How long it takes to come from the old places to the new. Left out: as long as it needs at the "
-        "limits of speed and acceleration.",
+        "limits of speed and acceleration; what would need more than ten minutes is refused.",
         unit="s",
         ge=0.1,
         le=600,
