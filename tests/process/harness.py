@@ -17,18 +17,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
-import numpy as np
-
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
-
 ROOT: Final = Path(__file__).parents[2]
 ADDRESS: Final = "127.0.0.1"
 PATIENCE_S: Final = 60.0
 """How long a test waits for whatever it waits for: only a fault takes so long, on any busy machine."""
 POLL_S: Final = 0.002
-GRID_S: Final = 0.02
-SKIPPED_M: Final = 0.01
 BUSY_SETTINGS: Final = ("fleet.rate_hz=25", "control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5")
 """For a busy machine: its robots shall be judged, not the scheduler."""
 BUSY: Final = tuple(word for setting in BUSY_SETTINGS for word in ("--set", setting))
@@ -110,45 +103,6 @@ def no_trouble_in_logs(folder: Path) -> None:
     assert logs, f"{folder} has no logs"
     for log in logs:
         no_trouble(log.read_text(errors="replace"), log.name)
-
-
-def assert_same_way(run: Path | Recording, simulated: Path | Recording, end_s: float, limit_m: float) -> None:
-    """Fails the test when the hand points of `run` and `simulated` until `end_s` differ by `limit_m` or more.
-
-    A run whose processes are given their time goes to the last digit as the simulated one. Where the machine
-    had one of them stand (each tick that its robot or its plant left out, as recorded), `SKIPPED_M` more is
-    allowed from then on: a robot of the delta that stood for 0.1 s was 11 mm off for two such ticks.
-    """
-    one, other = (each if isinstance(each, Recording) else read_run(each) for each in (run, simulated))
-    grid = np.arange(0.0, end_s, GRID_S)
-    for recording in (one, other):
-        assert recording.data_end_s >= grid[-1] - 0.05, f"it ends after {recording.data_end_s:.2f} s"
-    there, wanted = one.hand_positions(grid), other.hand_positions(grid)
-    assert there.shape == wanted.shape
-    assert np.isfinite(there).all()
-    assert np.isfinite(wanted).all()
-    left_out = skipped(one)
-    limits = limit_m + SKIPPED_M * np.searchsorted(left_out, grid)[:, None]
-    off = np.hypot(*np.moveaxis(there - wanted, -1, 0))
-    most = measured("apart, m", float(off.max()))
-    k, robot = np.unravel_index(int((off - limits).argmax()), off.shape)
-    above = grid[(off >= limits).any(axis=1)]
-    assert not len(above), (
-        f"{off[k, robot]:.3f} m apart at {grid[k]:.2f} s (the robot of index {robot}: {there[k, robot]} and "
-        f"{wanted[k, robot]}; at most {most:.3f}); {limits[k, 0]:.3f} m allowed after ticks left out at "
-        f"{np.round(left_out, 2)} s; more at {len(above)} times, {above[0]:.2f} s to {above[-1]:.2f} s"
-    )
-
-
-def skipped(recording: Recording) -> np.ndarray:
-    """When (s) each tick was that a robot or a plant left out, by the gaps in what they sent."""
-    period_s = recording.fleet.period_ns / 1e9
-    found: list[np.ndarray] = []
-    for robot in recording.robots.values():
-        for times in (robot.hand.t, robot.plant.t):
-            count = np.rint(np.diff(times) / period_s - 1.0).clip(min=0).astype(int)
-            found.append(np.repeat(times[:-1] + period_s, count))
-    return np.sort(np.concatenate(found))
 
 
 # ---------------------------------------------------------------------- the command

@@ -50,11 +50,11 @@ from tests.process.harness import (
     BUSY,
     BUSY_SETTINGS,
     Command,
-    assert_same_way,
     environment,
     measured,
     no_trouble_in_logs,
 )
+from tests.process.same_way import assert_same_way
 from tests.wire import sealed
 
 AGREE_M = 0.02

@@ -22,12 +22,12 @@ from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.process.harness import (
     Command,
-    assert_same_way,
     measured,
     no_trouble_in_logs,
     running,
     wait_for,
 )
+from tests.process.same_way import assert_same_way
 
 NETWORK = ("--set", "network.base_port=21120")
 LINE = ("--set", 'trajectory.kind="line"', "--set", "trajectory.velocity_mps=[0.2,0.1]")

@@ -26,14 +26,13 @@ from deploy.recording.mcap_reader import read_run
 from tests.process.harness import (
     BUSY,
     Command,
-    assert_same_way,
     last_lines,
     measured,
     no_trouble_in_logs,
     running,
-    skipped,
     wait_for,
 )
+from tests.process.same_way import assert_same_way, skipped
 from tests.screen import screen_lines
 
 pytestmark = pytest.mark.alone

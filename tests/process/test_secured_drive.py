@@ -20,7 +20,8 @@ from deploy.drive.preconditions import OVER
 from deploy.inventory.operator_credentials import KEYS
 from deploy.recording.mcap_reader import read_run
 from tests.process import attackers
-from tests.process.harness import Command, assert_same_way, measured, no_trouble_in_logs
+from tests.process.harness import Command, measured, no_trouble_in_logs
+from tests.process.same_way import assert_same_way
 from tests.process.secured_fleet import EAR, TAKEN, SecuredRobots, secured_robots, three
 
 SLOW = ("fleet.rate_hz=25", "control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5")

@@ -23,13 +23,13 @@ from tests.process.fleet_harness import ROUTED, ROUTER, Robots, all_ready, place
 from tests.process.harness import (
     BUSY,
     Command,
-    assert_same_way,
     children,
     last_lines,
     no_trouble_in_logs,
     running,
     wait_for,
 )
+from tests.process.same_way import assert_same_way
 from tests.process.secured_fleet import TAKEN, SecuredRobots, secured_robots, three
 from tests.process.small_fleets import triangle
 from tests.process.test_run import AGREE_M, assert_complete
