@@ -166,6 +166,7 @@ def sweep(
     workers: int | None = None,
     cluster: str | None = None,
     cluster_wait: float | None = None,
+    accept_new_host_keys: bool = False,
     random_starts: bool | float = False,
     check: bool = True,
     progress: bool = False,
@@ -183,6 +184,7 @@ def sweep(
         cluster: drives on other machines: ``tcp://host:port`` or ``tls://host:port`` of a Dask scheduler, its
             scheduler file, or ``ssh:FLEET`` for the hosts of a fleet file.
         cluster_wait: so long a scheduler that has no worker is waited for, s (default: 60).
+        accept_new_host_keys: takes the keys of a fleet's hosts that were never met before for their own.
         random_starts: every seed starts somewhere else, in a square with this side (m), or one that suits.
         check: refuses a grid in which `check` finds errors.
         progress: shows on stderr how far it is.
@@ -190,7 +192,7 @@ def sweep(
     Raises:
         Error: the grid is not sound; or the cluster cannot be used, or was lost.
     """
-    flags(check=check, progress=progress)
+    flags(check=check, progress=progress, accept_new_host_keys=accept_new_host_keys)
     loaded = load(fleet, changes, **named)
     if over is not None and not isinstance(over, Mapping):
         raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
@@ -202,6 +204,8 @@ def sweep(
         wait: Any = cluster_wait
         if isinstance(wait, bool) or not (isinstance(wait, Real) and 0.0 < float(wait) < inf):
             raise Error(f"cluster_wait must be a time above 0 (s), got {cluster_wait!r}")
+    if accept_new_host_keys and not (cluster or "").startswith(SSH):
+        raise Error("accept_new_host_keys is of the hosts that cluster='ssh:FLEET' names: leave it out")
     jobs = cores() if workers is None else whole(workers, "workers", 1)
     seeds = whole(seeds, "seeds", 1)
     side: Any = None if random_starts is False else 0.0 if random_starts is True else random_starts
@@ -234,7 +238,10 @@ def sweep(
     def go_on() -> bool:
         return interrupt.count == 0
 
-    engine = make_engine(cluster, work, jobs, RUN_S_MAX, show, plan.cells, go_on=go_on, wait_s=cluster_wait)
+    engine = make_engine(
+        cluster, work, jobs, RUN_S_MAX, show, plan.cells,
+        go_on=go_on, wait_s=cluster_wait, accept_new=accept_new_host_keys,
+    )  # fmt: skip
     with interrupt.caught(), show, engine:
         for row in engine.results(plan.order(), go_on):
             rows[row.run] = row

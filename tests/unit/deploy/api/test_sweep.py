@@ -68,6 +68,23 @@ def test_what_every_run_draws_is_a_column() -> None:
         sweep("pair", cluster_wait=600.0)
     with pytest.raises(Error, match=r"cluster_wait must be a time above 0 \(s\), got -1"):
         sweep("pair", cluster="tcp://there:1", cluster_wait=-1)
+    for cluster in (None, "tcp://there:1"):
+        with pytest.raises(Error, match="accept_new_host_keys is of the hosts that cluster='ssh:FLEET'"):
+            sweep("pair", cluster=cluster, accept_new_host_keys=True)
+
+
+def test_keys_of_hosts_are_taken_where_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    class AskedError(Exception):
+        pass
+
+    def engine(*given: object, **named: object) -> None:
+        raise AskedError(given[0], named["accept_new"])
+
+    monkeypatch.setattr("deploy.api.sweep.make_engine", engine)
+    for accept in (False, True):
+        with pytest.raises(AskedError) as asked:
+            sweep("pair", cluster="ssh:there.toml", accept_new_host_keys=accept)
+        assert asked.value.args == ("ssh:there.toml", accept)
 
 
 def test_pictures_are_figures(found: Sweep) -> None:
