@@ -38,7 +38,7 @@ from agent.messages.types import TIME_NS_MAX, Mission
 
 LEAVE_FADE_NS: Final = 500_000_000
 """Within which the edges of a robot that leaves lose their weight: it brakes, and is not waited for."""
-WITHIN_MAX: Final = 8
+WITHIN_MAX: Final = 16
 """So many blends may be within one another: of more, what is left of them dies away (M2)."""
 KEPT_MAX: Final = 2 * WITHIN_MAX
 """So many segments are remembered: twice as many as one in force may come from, for those still to come."""

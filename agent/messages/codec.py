@@ -49,7 +49,8 @@ _STATUS_VALUES_MAX: Final = 2048
 
 def head(cls: type[Message]) -> bytes:
     """How every message of a class without `About.omitted` fields begins."""
-    return bytes([0x90 | HEAD + len(cls._fields), VERSION, TYPE_OF[cls]])
+    array: bytes = msgpack.Packer().pack_array_header(HEAD + len(cls._fields))
+    return array + bytes([VERSION, TYPE_OF[cls]])
 
 
 # Only what begins like these may be long, in all or a text.
@@ -121,14 +122,14 @@ def decode(payload: bytes) -> Message:
     Raises:
         Malformed: for anything but one valid message.
     """
-    if len(payload) > LONG and payload[:3] == _MISSION_HEAD:
+    if len(payload) > LONG and payload.startswith(_MISSION_HEAD):
         return _known(payload)
     return _decoded(payload)
 
 
 def _decoded(payload: bytes) -> Message:
     if len(payload) > BYTES_MAX:
-        most = MISSION_BYTES_MAX if payload[:3] == _MISSION_HEAD else BYTES_MAX
+        most = MISSION_BYTES_MAX if payload.startswith(_MISSION_HEAD) else BYTES_MAX
         if len(payload) > most:
             raise Malformed("oversized", f"{len(payload)} bytes, at most {most} are accepted")
     packed = payload[:-_CHECKSUM_BYTES]
@@ -169,7 +170,7 @@ def _taker(number: Any) -> Taker:
 
 
 def _unpacked(packed: bytes) -> Any:
-    text_max = RULES_MAX if packed[: len(_FAULTS_HEAD)] == _FAULTS_HEAD else TEXT_MAX
+    text_max = RULES_MAX if packed.startswith(_FAULTS_HEAD) else TEXT_MAX
     return _unpack(packed, use_list=False, max_array_len=_STATUS_VALUES_MAX, max_str_len=text_max)
 
 

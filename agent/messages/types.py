@@ -76,6 +76,8 @@ LEVELS: Final = ("ok", "warning", "blocking")
 """Of a line of `Checks`: fine; worth knowing; no drive begins over it."""
 SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 """Of a `StatusText`: names of MAV_SEVERITY, in the order of its numbers (RFC 5424)."""
+LEFT_MAX: Final = 64
+"""Of a mission's `left`."""
 CHECKS_MAX: Final = 32
 """Lines of one `Checks`."""
 CHECK_TEXT_MIN: Final = 100
@@ -395,6 +397,18 @@ class Removed(NamedTuple):
     time_ns: Annotated[int, _TIME.of("When an operator said so, since the Unix epoch")]
 
 
+class Left(NamedTuple):
+    """How far the motion of a formation is from that of its mission some time after its take-over: that of
+    its reference point, and places from there."""
+
+    x: Annotated[float, About("Reference point, east", "m")]
+    y: Annotated[float, About("Reference point, north", "m")]
+    vx: Annotated[float, About("Velocity of that, east", "m/s")]
+    vy: Annotated[float, About("Velocity of that, north", "m/s")]
+    places: Annotated[float, About("No place is further off from there than so", "m")]
+    rate: Annotated[float, About("That changes no faster than so", "m/s")]
+
+
 class Mission(NamedTuple):
     """When the fleet starts and for how long it drives; all that the fleet is to do.
 
@@ -436,6 +450,14 @@ class Mission(NamedTuple):
     removed: Annotated[
         tuple[Removed, ...],
         About("Robots whose bodies have been carried off the field", rows=ROBOT_MAX, before=()),
+    ] = ()
+    left: Annotated[
+        tuple[Left, ...],
+        About(
+            "What is left of the motion before, at equal shares of blend_ns from 0 to 1; empty: not known",
+            rows=LEFT_MAX,
+            before=(),
+        ),
     ] = ()
 
 

@@ -6,15 +6,20 @@ from collections.abc import Iterator
 from typing import Final
 
 from agent.common.time import NS_PER_S
+from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
+from agent.fleet.orders import OrderSection
 from agent.formation.geometry import Geometry
 from agent.formation.graph import components
 from agent.formation.mission_plan import Plan
 from deploy.check.finding import Finding
 from deploy.console.wording import some
+from deploy.orders.blend_time import blend_ns_for, peaks_of
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import Operator
 
+OVER_MAX: Final = 1.25
+"""Places that move by so much faster than robots do are worth a word: for a moment they catch up."""
 _EPOCH_NS: Final = 1_000 * NS_PER_S
 
 
@@ -24,6 +29,7 @@ def check_orders(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     operator = Operator(fleet, geometry)
     operator.begin(_EPOCH_NS - NS_PER_S, _EPOCH_NS, round(end_s * NS_PER_S))
     parts = _parts(operator.plan)
+    latest = operator.plan
     for number, order in sorted(enumerate(fleet.orders, 1), key=lambda row: row[1].at):
         place = f"order[{number}]"
         try:
@@ -41,6 +47,9 @@ def check_orders(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         plan = operator.plan
         if order.kind in ("stop", "resume") or plan is None:
             continue
+        if order.over_s is not None and latest is not None:
+            yield from _too_soon(f"{place}.over_s", order, latest, plan, fleet)
+        latest = plan
         done_s = (plan.from_ns + plan.blend_ns - _EPOCH_NS) / NS_PER_S
         if done_s > end_s:
             yield Finding(
@@ -59,6 +68,24 @@ def check_orders(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
                 f"after it the graph is in {len(parts)} parts, {shown}: robots of different parts only "
                 "keep out of each other's way",
             )
+
+
+def _too_soon(place: str, order: OrderSection, before: Plan, plan: Plan, fleet: Fleet) -> Iterator[Finding]:
+    """That places move faster than robots can, by how long a change is to take."""
+    if plan.from_ns <= plan.mission.epoch_ns or not plan.blend_ns:
+        return
+    speed = peaks_of(before, plan, plan.blend_ns, fleet).speed
+    least_ns = blend_ns_for(before, plan, fleet)
+    if least_ns is not None and speed > OVER_MAX * max(
+        speed_max(fleet), peaks_of(before, plan, least_ns, fleet).speed
+    ):
+        yield Finding(
+            "warning",
+            place,
+            f"{order.over_s:g} s are so few that places move at {speed:.3g} m/s, and robots at "
+            f"{speed_max(fleet):g} m/s (control.max_speed_mps): they fall behind, out of formation; "
+            f"{least_ns / NS_PER_S:.2g} s are enough",
+        )
 
 
 def _parts(plan: Plan | None) -> list[list[int]]:

@@ -29,7 +29,7 @@ from agent.links.ticks import next_tick_ns
 from agent.messages.codec import decode, encode
 from agent.messages.types import Distance, Mission, Place, Removed, clipped
 from agent.messages.validation import Malformed
-from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for
+from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for, left_of
 from deploy.orders.trilateration import place_apart
 
 LEAD_NS: Final = NS_PER_S
@@ -133,9 +133,7 @@ def ordered(
         raise OrderError(f"the new mission cannot be sent: {error}") from None
     if from_ns == before.epoch_ns:
         return mission
-    if order.over_s is not None:
-        return mission._replace(blend_ns=round(order.over_s * NS_PER_S))
-    blend_ns = blend_ns_for(plan, after, fleet)
+    blend_ns = blend_ns_for(plan, after, fleet) if order.over_s is None else round(order.over_s * NS_PER_S)
     if blend_ns is None and order.kind in ("leave", "remove"):
         blend_ns = round(BLEND_MAX_S * NS_PER_S)  # nobody else goes elsewhere for it: it is never too late
     if blend_ns is None:
@@ -145,7 +143,7 @@ def ordered(
             f"{', by what is left of the change before it' if goes_on else ''}: order it in parts, each when "
             "the one before is over, or say how long it is to take (over_s)"
         )
-    return mission._replace(blend_ns=blend_ns)
+    return mission._replace(blend_ns=blend_ns, left=left_of(plan, after, blend_ns, fleet))
 
 
 def _join(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:

@@ -40,7 +40,7 @@ def whole_files(outs: Sequence[Path]) -> Iterator[list[Path]]:
         for out in outs:
             out.parent.mkdir(parents=True, exist_ok=True)
         yield parts
-        with _uninterrupted():
+        with uninterrupted():
             for part, out in zip(parts, outs, strict=True):
                 part.replace(out)
     finally:
@@ -50,7 +50,7 @@ def whole_files(outs: Sequence[Path]) -> Iterator[list[Path]]:
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
+def uninterrupted() -> Iterator[None]:
     """Ctrl-C and its like come at its end."""
     if threading.current_thread() is not threading.main_thread():
         yield  # it hears of none

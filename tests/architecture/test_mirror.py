@@ -128,7 +128,6 @@ BY_OTHERS: Final = {
         deploy/drive/display/terminal_view
         deploy/faults/windows
         deploy/faults/wording
-        deploy/orders/blend_time
         deploy/recording/collector
         deploy/recording/link_table
         deploy/recording/links

@@ -10,7 +10,7 @@ from agent.fleet.loading import digest
 from agent.formation.geometry import resolve
 from agent.messages.codec import encode
 from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import Mission, Removed
+from agent.messages.types import Left, Mission, Removed
 from deploy.orders.operator import Known
 from deploy.recording.collector import RunData
 from plant.node import PlantNode
@@ -36,6 +36,7 @@ MISSIONS = st.builds(
     edges=st.just(()),
     robots=st.sampled_from([(), ((1, 0.0, 0.0), (2, 3.0, 0.0)), ((99, 0.0, 0.0),)]),
     removed=st.sampled_from([(), (Removed(1, EPOCH),)]),
+    left=st.sampled_from([(), (Left(0.5, 0.0, 0.1, 0.0, 2.0, 0.3),)]),
 )
 
 

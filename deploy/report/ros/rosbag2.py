@@ -23,6 +23,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from agent.runtime.version import handfast_version
 from deploy.recording.recorder import RecordingError
 from deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
+from deploy.report.whole_file import uninterrupted
 from deploy.verdict.run_result import RunResult
 
 METADATA_FILE: Final = "metadata.yaml"
@@ -120,14 +121,19 @@ def _refuse_other(bag: Path) -> None:
 def _whole(bag: Path) -> Iterator[Path]:
     """A folder aside that takes the place of `bag` once it is whole, and is gone if it never is."""
     bag.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f".{bag.name}-", dir=bag.parent, ignore_cleanup_errors=True) as aside:
-        part, before = Path(aside) / bag.name, Path(aside) / "before"
+    aside = TemporaryDirectory(prefix=f".{bag.name}-", dir=bag.parent, ignore_cleanup_errors=True)
+    part, before = Path(aside.name) / bag.name, Path(aside.name) / "before"
+    try:
         yield part
-        try:
+        with uninterrupted():
             if bag.exists():
                 bag.rename(before)
-            part.rename(bag)
-        except BaseException:
-            if before.exists() and not bag.exists():
-                before.rename(bag)
-            raise
+            try:
+                part.rename(bag)
+            except BaseException:
+                if before.exists():
+                    before.rename(bag)
+                raise
+    finally:
+        with uninterrupted():
+            aside.cleanup()

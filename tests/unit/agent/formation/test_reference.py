@@ -12,7 +12,7 @@ from agent.fleet.orders import ShapeSection
 from agent.fleet.sections import TrajectorySection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of
-from agent.formation.reference import KEPT_MAX, LEAVE_FADE_NS, Edge, Reference
+from agent.formation.reference import KEPT_MAX, LEAVE_FADE_NS, WITHIN_MAX, Edge, Reference
 from agent.messages.codec import Mark, tag
 from agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
@@ -222,24 +222,28 @@ def many(count: int, every_s: float, blend_s: float, before: tuple[Plan, ...] = 
 
 
 def test_of_many_missions_only_the_latest_are_kept():
-    plans = many(30, 0.1, 2.0)
+    count = KEPT_MAX + 14
+    plans = many(count, 0.1, 2.0)
     made = reference(*plans)
-    assert plans.index(made.active(EPOCH)) > 30 - KEPT_MAX  # what is older is forgotten
+    assert plans.index(made.active(EPOCH)) > 14  # what is older is forgotten
+    end_m = 1.0 + 0.1 * count
     for k in range(200):
         time_ns = plans[-1].from_ns + k * S // 50
         motion = made.motion(2, time_ns)
         assert motion is not None
         x = FIRST.reference(time_ns)[0]
-        assert x + 1.0 < motion[0] <= x + 4.0 + 1e-9
+        assert x + 1.0 < motion[0] <= x + end_m + 1e-9
         assert [edge.other for edge in made.edges(2, time_ns)] == [1, 3]
-    assert made.motion(2, at(plans[-1], 1.0))[0] == pytest.approx(FIRST.reference(at(plans[-1], 1))[0] + 4.0)
+    assert made.motion(2, at(plans[-1], 1.0))[0] == pytest.approx(
+        FIRST.reference(at(plans[-1], 1))[0] + end_m
+    )
 
 
 @pytest.mark.parametrize(("every_s", "blend_s"), [(0.2, 4.0), (2.0, 1.5), (3.0, 60.0)])
 def test_however_many_changes_meet_each_other_the_motion_is_continuous(every_s: float, blend_s: float):
     """Below one that lasts for long."""
     larger = changed(order("reshape", scale=4.0, over_s=100.0))
-    plans = many(25, every_s, blend_s, (FIRST, larger))
+    plans = many(WITHIN_MAX + 9, every_s, blend_s, (FIRST, larger))
     made, near_ns = reference(), 1_000
     for plan in plans:
         before = made.frozen()
@@ -260,22 +264,21 @@ def test_however_many_changes_meet_each_other_the_motion_is_continuous(every_s: 
 
 
 def test_what_is_left_of_many_changes_carries_nobody_far():
-    """Each is made as an operator's, who takes it to be as slow as the limits need."""
     plans = [FIRST]
-    for k in range(10):
+    for k in range(WITHIN_MAX + 4):
         x, y = ((2.0, 6.0), (-2.0, 0.0))[k % 2]
         circle = TrajectorySection("circle", centre_m=(x, y), radius_m=3.0, speed_mps=0.3)
-        plans.append(changed(order("reshape", trajectory=circle), plans[-1], at_s=10.0 + k))
+        long_s = 300.0 if k >= WITHIN_MAX - 1 else 18.0
+        plans.append(changed(order("reshape", trajectory=circle, over_s=long_s), plans[-1], at_s=10.0 + k))
     made = reference(*plans)
     samples = [made.motion(2, EPOCH + k * S // 5) for k in range(5 * 300)]
     assert max(hypot(x, y) for x, y, *_ in samples) < 20.0
-    # The first three, each in the midst of the one before, already come to 1.6 m/s.
     assert max(hypot(vx, vy) for _, _, vx, vy, *_ in samples) < 1.1 * FLEET.control.max_speed_mps
     assert max(hypot(ax, ay) for *_, ax, ay in samples) < 1.1 * FLEET.control.max_acceleration / 3.0
 
 
 def test_the_derivatives_of_what_is_left_of_many_changes_are_those_of_its_motion():
-    plans = many(9, 0.2, 4.0)
+    plans = many(WITHIN_MAX + 1, 0.1, 4.0)
     made = reference(*plans)
     for share in (0.05, 0.3, 0.6, 0.9):
         time_ns, step_s = at(plans[-1], share), 1e-3

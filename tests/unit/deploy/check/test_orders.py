@@ -54,3 +54,22 @@ def test_a_graph_that_falls_apart_is_warned_of_once() -> None:
     (finding,) = found(cut, LEAVE.format(at=10, robot=4))
     assert (finding.level, finding.place) == ("warning", "order[1]")
     assert "the graph is in 2 parts, {1, 2}, {3, 4}" in finding.message
+
+
+QUICK = '[[order]]\nat = {at}\nkind = "reshape"\nscale = {scale}\nover_s = {over}\n'
+
+
+def test_a_change_that_robots_cannot_follow_is_said_with_the_time_that_is_enough() -> None:
+    assert not found(QUICK.format(at=10, scale=2.0, over=5))
+    (finding,) = found(QUICK.format(at=10, scale=4.0, over=0.5))
+    assert (finding.level, finding.place) == ("warning", "order[1].over_s")
+    assert "0.5 s are so few that places move at" in finding.message
+    enough = float(finding.message.rpartition("; ")[2].split()[0])
+    assert not found(QUICK.format(at=10, scale=4.0, over=1.1 * enough))
+
+
+def test_what_is_left_of_the_change_before_counts() -> None:
+    far = QUICK.format(at=10, scale=8.0, over=20)
+    assert not found(far, QUICK.format(at=40, scale=1.05, over=2))
+    (finding,) = found(far, QUICK.format(at=12, scale=1.05, over=2))
+    assert (finding.level, finding.place) == ("warning", "order[2].over_s")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import dist, hypot, sqrt
+from math import dist, sqrt
 from typing import Any
 
 import pytest
@@ -12,12 +12,10 @@ from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection, ShapeSection
 from agent.fleet.sections import TrajectorySection
-from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts
-from agent.formation.reference import Reference
 from agent.messages.codec import decode, encode, newer
 from agent.messages.types import Removed
-from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for
+from deploy.orders.blend_time import BLEND_MAX_S
 from deploy.orders.mission_editing import LEAD_NS, OrderError, first_mission, must_be_known, ordered
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
@@ -460,51 +458,6 @@ def test_a_circle_and_waypoints_are_where_they_are_given():
 # --- length of the blend ----------------------------------------------------------------------
 
 
-def peaks(fleet: Fleet, *plans: Plan) -> tuple[float, float]:
-    """Greatest speed and acceleration of any member within the last plan's blend."""
-    reference = Reference(fleet, resolve(fleet))
-    for plan in plans:
-        reference.take(plan)
-    last, speed, acceleration = plans[-1], 0.0, 0.0
-    for robot in last.members:
-        for k in range(1001):
-            sample = reference.motion(robot, last.from_ns + last.blend_ns * k // 1000)
-            assert sample is not None
-            speed = max(speed, hypot(sample[2], sample[3]))
-            acceleration = max(acceleration, hypot(sample[4], sample[5]))
-    return speed, acceleration
-
-
-@pytest.mark.parametrize("speed_max", [0.5, 1.5, 100.0])
-@pytest.mark.parametrize("scale", [1.1, 3.0, 8.0])
-def test_a_blend_is_as_long_as_its_limits_need_and_not_much_longer(speed_max: float, scale: float):
-    fleet = square(f"control.max_speed_mps={speed_max}", "control.max_acceleration=3")
-    first = first_plan(fleet)
-    plan = plan_after(order("reshape", scale=scale), first, fleet)
-    speed, acceleration = peaks(fleet, first, plan)
-    assert speed <= speed_max * 1.01
-    assert acceleration <= 1.01
-    if plan.blend_ns > S:
-        assert speed >= 0.85 * speed_max or acceleration >= 0.8
-
-
-def test_a_blend_into_an_unfinished_one_is_longer():
-    first = plan_after(order("reshape", scale=5.0))
-    second = order(
-        "reshape", formation=ShapeSection(offsets=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
-    )
-    early, late = plan_after(second, first, at_s=11.0), plan_after(second, first, at_s=40.0)
-    assert early.blend_ns > late.blend_ns
-    assert peaks(FLEET, FIRST, first, early)[1] <= FLEET.control.max_acceleration / 3 * 1.01
-
-
-def test_a_course_too_fast_for_any_blend_gets_one_that_its_places_need():
-    fast = TrajectorySection("line", velocity_mps=(1.4, 0.0))
-    plan = plan_after(order("reshape", trajectory=fast, scale=2.0))
-    seconds = plan.blend_ns / S
-    assert 15 / 8 * sqrt(2) <= 0.25 * 1.5 * seconds <= 15 / 8 * sqrt(2) * 1.1
-
-
 @pytest.mark.parametrize(
     "given", [{"scale": 1000.0}, {"trajectory": TrajectorySection("hold", start_m=(9e5, 0.0))}]
 )
@@ -517,17 +470,10 @@ def test_what_no_blend_does_is_refused_but_where_it_is_said_how_long(given: Any)
     assert "order it in parts" in str(refused.value)
     assert "left of the change before" not in str(refused.value)
     assert plan_after(order("reshape", **given, over_s=30.0)).blend_ns == 30 * S
-    large = plan_after(order("reshape", scale=60.0, over_s=600.0))
+    large = plan_after(order("reshape", scale=300.0, over_s=600.0))
     with pytest.raises(OrderError, match="by what is left of the change before it: order it in parts"):
         plan_after(order("reshape", scale=0.01), large, at_s=12.0)
     assert plan_after(order("leave", robot=2), large, at_s=12.0).blend_ns == BLEND_MAX_S * S
-
-
-def test_who_only_comes_and_goes_needs_the_least_blend():
-    alone = plan_after(order("replace", robot=1, by=7))
-    assert blend_ns_for(FIRST, alone, FLEET) == S
-    nobody = plan_after(order("leave", robot=1))
-    assert blend_ns_for(FIRST, replace(nobody, members=()), FLEET) == S
 
 
 def test_orders_one_after_another_build_on_each_other():

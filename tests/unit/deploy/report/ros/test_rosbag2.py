@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import signal
 import sys
 from collections import Counter
 from pathlib import Path
@@ -197,6 +199,30 @@ def test_a_bag_that_cannot_take_its_place_leaves_the_earlier_one(
     with pytest.raises(RecordingError, match=r"^cannot write the export to .*/export: Input/output error$"):
         export(run, "rosbag2")
     assert content(run / "export") == before
+
+
+def test_an_export_that_is_interrupted_as_it_tidies_up_leaves_nothing_aside(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (bag,) = export(run, "rosbag2")
+    remove = shutil.rmtree
+
+    def interrupted(path: str, *given: Any, **named: Any) -> None:
+        signal.raise_signal(signal.SIGTERM)
+        remove(path, *given, **named)
+
+    def raises(number: int, _frame: object) -> None:
+        raise KeyboardInterrupt(number)
+
+    monkeypatch.setattr("tempfile._shutil.rmtree", interrupted)
+    before = signal.signal(signal.SIGTERM, raises)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            export(run, "rosbag2")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert [*bag.parent.iterdir()] == [bag]
+    assert len(read(bag)) > 0
 
 
 def test_what_is_not_a_bag_of_ours_is_not_replaced(run: Path, tmp_path: Path) -> None:
