@@ -28,15 +28,26 @@ def configured_security() -> Security:
         ClusterError: it cannot be had so; the text names the setting, and its file.
     """
     # OpenSSL would ask for a pass phrase, whoever is there, and hear of no Ctrl-C.
-    why = _encrypted_key()
+    why = _no_regular_file() or _encrypted_key()
     if not why:
         try:
             security = Security()
             security.get_connection_args("client")
             return security
         except Exception as error:  # of files, of what is in them, or of any other setting
-            why = _wrong_file() or _wrong_pair(error) or error_line(error)
+            why = _wrong_file() or _wrong_pair(error) or _wrong_ciphers() or error_line(error)
     raise ClusterError(f"the certificates of Dask's configuration cannot be used: {why}")
+
+
+def _no_regular_file() -> str:
+    """Which setting names a pipe or a device, whose end would be waited for; empty when none does."""
+    for name in _FILES:
+        value = _setting(name)
+        if isinstance(value, str) and "\n" not in value and "\0" not in value:
+            path = Path(value)
+            if path.exists() and not path.is_file() and not path.is_dir():
+                return f"{_TLS}{name}, {printable(value)}: it is a pipe or a device: give a file"
+    return ""
 
 
 def _encrypted_key() -> str:
@@ -93,6 +104,17 @@ def _wrong_pair(error: Exception) -> str:
     except (OSError, ValueError) as wrong:
         return f"{_TLS}ca-file{_named('ca-file')}: it cannot be read ({error_line(wrong)})"
     return f"{pair[0]}, or {pair[1]}: one cannot be read ({error_line(error)})"
+
+
+def _wrong_ciphers() -> str:
+    """What is wrong with the ciphers; empty when nothing is."""
+    ciphers = _setting("ciphers")
+    try:
+        if ciphers is not None:
+            ssl.create_default_context().set_ciphers(ciphers)  # type: ignore[arg-type]
+    except (ssl.SSLError, TypeError):
+        return f"{_TLS}ciphers, {show(ciphers)}: OpenSSL knows no such ciphers (openssl ciphers lists them)"
+    return ""
 
 
 def _setting(name: str) -> object:

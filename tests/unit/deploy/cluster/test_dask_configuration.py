@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -108,11 +109,22 @@ def test_what_only_looks_like_a_certificate_is_named(name: str, says: str, files
         configured_security()
 
 
-def test_ciphers_that_there_are_none_of_are_one_line(files: Path) -> None:
+@pytest.mark.parametrize("ciphers", ["rubbish", 7])
+def test_ciphers_that_there_are_none_of_are_one_line(ciphers: object, files: Path) -> None:
     with (
         setting(files),
-        dask.config.set({f"{TLS}.ciphers": "rubbish"}),
-        pytest.raises(ClusterError, match=r"cannot be used: SSLError: .*cipher"),
+        dask.config.set({f"{TLS}.ciphers": ciphers}),
+        pytest.raises(ClusterError, match=rf"{TLS}\.ciphers, .*{ciphers}.*: OpenSSL knows no such ciphers"),
+    ):
+        configured_security()
+
+
+def test_a_pipe_is_not_waited_for(files: Path) -> None:
+    os.mkfifo(files / "pipe")
+    with (
+        setting(files),
+        dask.config.set({f"{TLS}.client.key": str(files / "pipe")}),
+        pytest.raises(ClusterError, match=r"client\.key, .*/pipe: it is a pipe or a device: give a file"),
     ):
         configured_security()
 
