@@ -407,6 +407,7 @@ class Left(NamedTuple):
     vy: Annotated[float, About("Velocity of that, north", "m/s")]
     places: Annotated[float, About("No place is further off from there than so", "m")]
     rate: Annotated[float, About("That changes no faster than so", "m/s")]
+    reach: Annotated[float, About("No place is further from the reference point than so", "m")]
 
 
 class Mission(NamedTuple):

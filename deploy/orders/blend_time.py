@@ -16,6 +16,7 @@ it is, of places how far any is off at most.
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -46,6 +47,7 @@ class _Motions(NamedTuple):
     velocity: of the reference point before, m/s.
     places, rate: how far any place may still be from where the plan before has it, and how fast it comes
         there, m, m/s.
+    reach: how far any place is from the reference point at most, m.
     """
 
     way: Floats
@@ -53,6 +55,7 @@ class _Motions(NamedTuple):
     velocity: Floats
     places: Floats
     rate: Floats
+    reach: Floats
 
 
 class Peaks(NamedTuple):
@@ -99,29 +102,41 @@ def peaks_of(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> Peaks:
         return Peaks(0.0, 0.0, 0.0)
     old, seconds = _motions(before, after, blend_ns, fleet), blend_ns / NS_PER_S
     share, rate, bend = _SHAPE[:, 0], _SHAPE[:, 1] / seconds, _SHAPE[:, 2] / (seconds * seconds)
-    way = old.way + moves[:, None]  # (moves, samples, 2)
-    velocity = old.velocity + share[:, None] * old.faster + rate[:, None] * way
-    acceleration = 2.0 * rate[:, None] * old.faster + bend[:, None] * way
-    speeds = np.linalg.norm(velocity, axis=2) + rate * old.places + (1.0 - share) * old.rate
-    accelerations = np.linalg.norm(acceleration, axis=2)
-    accelerations += np.abs(bend) * old.places + 2.0 * rate * old.rate
-    to_go = np.linalg.norm(way[:, 0], axis=1).max() + old.places[0]
-    return Peaks(float(speeds.max()), float(accelerations.max()), float(to_go))
+
+    def most(moves: Floats, places: Floats) -> Floats:
+        """(3, samples): as `Peaks`, of `moves` and of what any place may be from there."""
+        way = old.way + moves[:, None]  # (moves, samples, 2)
+        velocity = old.velocity + share[:, None] * old.faster + rate[:, None] * way
+        acceleration = 2.0 * rate[:, None] * old.faster + bend[:, None] * way
+        speed, harder, far = (
+            np.linalg.norm(each, axis=2).max(axis=0) for each in (velocity, acceleration, way)
+        )
+        speed += rate * places + (1.0 - share) * old.rate
+        harder += np.abs(bend) * places + 2.0 * rate * old.rate
+        return np.array((speed, harder, far + places))
+
+    # Of places that are on their way, two things are known: how far from their places, and from the middle.
+    bound = most(moves, old.places)
+    if old.places[0] > 0.0:
+        bound = np.minimum(bound, most(np.zeros((1, 2)), old.reach + _reach(after)))
+    speed, harder, far = bound
+    return Peaks(float(speed.max()), float(harder.max()), float(far[0]))
 
 
 def left_of(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> tuple[Left, ...]:
     """What is left of the motion before `after` in a blend of this length (`Mission.left`)."""
     if not blend_ns:
-        return (Left(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)
+        return (Left(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, _reach(after)),)
     old = _motions(before, after, blend_ns, fleet)
-    rest, rate = 1.0 - _SHAPE[:, 0], _SHAPE[:, 1] * NS_PER_S / blend_ns
+    share, rate = _SHAPE[:, 0], _SHAPE[:, 1] * NS_PER_S / blend_ns
+    rest = 1.0 - share
     away = -rest[:, None] * old.way
     speed = rate[:, None] * old.way - rest[:, None] * old.faster
     moved = float(np.linalg.norm(_moves(before, after), axis=1).max(initial=0.0))
-    places = rest * (moved + old.places)
-    rates = rate * (moved + old.places) + rest * old.rate
-    columns = np.column_stack((away, speed, places, rates))[::_STEP]
-    return tuple(Left(*(float(value) for value in row)) for row in columns)
+    further = np.minimum(moved + old.places, old.reach + _reach(after))
+    reach = rest * old.reach + share * _reach(after)
+    columns = np.column_stack((away, speed, rest * further, rate * further + rest * old.rate, reach))
+    return tuple(Left(*(float(value) for value in row)) for row in columns[::_STEP])
 
 
 def _limits(fleet: Fleet) -> tuple[float, float]:
@@ -136,29 +151,36 @@ def _moves(before: Plan, after: Plan) -> Floats:
     return np.unique(np.array(moves).reshape(-1, 2), axis=0)
 
 
+def _reach(plan: Plan) -> float:
+    """How far the members' places are from the reference point at most, m."""
+    return max((hypot(x, y) for x, y in plan.offsets.values()), default=0.0)
+
+
 def _motions(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> _Motions:
     times_ns = [after.from_ns + round(float(share) * blend_ns) for share in _SHARES]
     old, new = (np.array([plan.reference(time_ns)[:4] for time_ns in times_ns]) for plan in (before, after))
     left = _left(before, times_ns, fleet)
     old += left[:, :4]
-    return _Motions(new[:, :2] - old[:, :2], new[:, 2:] - old[:, 2:], old[:, 2:], left[:, 4], left[:, 5])
+    return _Motions(new[:, :2] - old[:, :2], new[:, 2:] - old[:, 2:], old[:, 2:], *left[:, 4:].T)
 
 
 def _left(before: Plan, times_ns: list[int], fleet: Fleet) -> Floats:
-    """(times, 6), as `Left`: what is left of the motion before that of `before`."""
-    left = np.zeros((len(times_ns), 6))
+    """(times, 7), as `Left`: what is left of the motion before that of `before`."""
+    left = np.zeros((len(times_ns), 7))
+    left[:, 6] = _reach(before)
     if before.from_ns <= before.mission.epoch_ns or not before.blend_ns:
         return left
     shares = np.clip(np.subtract(times_ns, before.from_ns) / before.blend_ns, 0.0, 1.0)
     if before.mission.left:
         said = np.array(before.mission.left)
-        return np.where(shares[:, None] < 1.0, _between(said, shares, before.blend_ns / NS_PER_S), 0.0)
+        return np.where(shares[:, None] < 1.0, _between(said, shares, before.blend_ns / NS_PER_S), left)
     # A program that does not say it: as far as that blend allowed it to be.
     seconds = before.blend_ns / NS_PER_S
     speed_most, acceleration_max = _limits(fleet)
     way = min(speed_most * seconds / RATE_MAX, acceleration_max * seconds * seconds / BEND_MAX)
     shape = np.array([blend_shape(float(share)) for share in shares])
     left[:, 4], left[:, 5] = way * (1.0 - shape[:, 0]), way * shape[:, 1] / seconds
+    left[:, 6] += left[:, 4]
     return left
 
 

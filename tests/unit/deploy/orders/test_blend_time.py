@@ -187,5 +187,5 @@ def test_of_a_mission_that_does_not_say_what_is_left_the_worst_is_taken() -> Non
 
 def test_what_is_said_to_be_over_at_once_leaves_nothing() -> None:
     plan = plan_after(order("reshape", scale=2.0, over_s=0.0))
-    assert plan.mission.left == (Left(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)
+    assert plan.mission.left == (Left(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pytest.approx(2.0 * sqrt(2.0))),)
     assert plan_after(order("reshape", scale=0.5), plan, at_s=10.1).blend_ns < 5 * S

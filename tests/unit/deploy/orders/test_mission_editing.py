@@ -470,10 +470,11 @@ def test_what_no_blend_does_is_refused_but_where_it_is_said_how_long(given: Any)
     assert "order it in parts" in str(refused.value)
     assert "left of the change before" not in str(refused.value)
     assert plan_after(order("reshape", **given, over_s=30.0)).blend_ns == 30 * S
-    large = plan_after(order("reshape", scale=300.0, over_s=600.0))
+    there = TrajectorySection("hold", start_m=(9e4, 0.0))
+    far = plan_after(order("reshape", trajectory=there, over_s=600.0))
     with pytest.raises(OrderError, match="by what is left of the change before it: order it in parts"):
-        plan_after(order("reshape", scale=0.01), large, at_s=12.0)
-    assert plan_after(order("leave", robot=2), large, at_s=12.0).blend_ns == BLEND_MAX_S * S
+        plan_after(order("reshape", scale=0.5), far, at_s=12.0)
+    assert plan_after(order("leave", robot=2), far, at_s=12.0).blend_ns == BLEND_MAX_S * S
 
 
 def test_orders_one_after_another_build_on_each_other():
