@@ -34,6 +34,8 @@ BLEND_MAX_S: Final = 600.0
 _ACCELERATION_SHARE: Final = 1.0 / 3.0
 _SPEED_SHARE: Final = 0.25
 _SPEED_OVER: Final = 1.1
+_WORTH: Final = 2.0
+"""No more than so many times as long for the speed: the fleet would go on with what is over."""
 _LONGER: Final = 1.1
 _STEP: Final = 4
 _SHARES: Final = np.linspace(0.0, 1.0, 16 * _STEP + 1)
@@ -89,7 +91,7 @@ def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int | None:
                 return round(seconds * NS_PER_S)
             if not enough and RATE_MAX * peaks.to_go <= _SPEED_SHARE * most * seconds:
                 enough = seconds
-            if enough and unfinished and peaks.speed <= _SPEED_OVER * most:
+            if enough and unfinished and (peaks.speed <= _SPEED_OVER * most or seconds > _WORTH * enough):
                 break
         seconds *= _LONGER
     return round(enough * NS_PER_S) if enough else None
