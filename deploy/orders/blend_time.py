@@ -11,7 +11,8 @@ thirds are left to the law; the speed below the greatest one. S' is 15/8 at most
 
 r_old may be in a blend itself. The motion of the reference point and the places from there are blended alike,
 each by itself; so a mission says what is left of both at some times of its blend (`left_of`): of the first as
-it is, of places how far any is off at most.
+it is, of places how far any is off at most. (Where more than `WITHIN_MAX` blends are within one another the
+motion is another one, and this is only near.)
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ BLEND_MAX_S: Final = 600.0
 _ACCELERATION_SHARE: Final = 1.0 / 3.0
 _SPEED_SHARE: Final = 0.25
 _SPEED_OVER: Final = 1.1
+"""Where blends meet: so many times the greatest speed, as a bound says, may be less in truth."""
 _WORTH: Final = 2.0
 """No more than so many times as long for the speed: the fleet would go on with what is over."""
 _LONGER: Final = 1.1
 _STEP: Final = 4
+"""A mission says what is left at each of so many shares."""
 _SHARES: Final = np.linspace(0.0, 1.0, 16 * _STEP + 1)
 _SHAPE: Final = np.array([blend_shape(float(share)) for share in _SHARES])
 
@@ -159,6 +162,7 @@ def _reach(plan: Plan) -> float:
 
 
 def _motions(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> _Motions:
+    """Of a blend of this length."""
     times_ns = [after.from_ns + round(float(share) * blend_ns) for share in _SHARES]
     old, new = (np.array([plan.reference(time_ns)[:4] for time_ns in times_ns]) for plan in (before, after))
     left = _left(before, times_ns, fleet)
