@@ -111,16 +111,18 @@ def test_a_radio_that_carries_it_all_changes_no_byte() -> None:
     assert ample.error_m == free.error_m
 
 
-@pytest.mark.parametrize(("share", "error_m"), [(0.75, 0.05), (0.5, 0.5)])
-def test_one_that_does_not_makes_messages_late_by_its_queue_and_no_more(share: float, error_m: float) -> None:
-    slow = drive(*emulated(share * needed_kbit()))
+@pytest.mark.parametrize(("share", "drive_s"), [(0.75, DURATION_S), (0.5, 3.0 * DURATION_S)])
+def test_one_that_does_not_makes_messages_late_by_its_queue_and_no_more(share: float, drive_s: float) -> None:
+    """By half of what they need they are 0.04 to 0.67 m off after 15 s, as a byte more or less has it: then
+    they are still on their way."""
+    slow = drive(*emulated(share * needed_kbit()), f"fleet.duration_s={drive_s}")
     assert np.median(slow.ages_ms) > 4 * PERIOD_MS, "the queues are long"
     # Two queues, each with what is under way, and the ticks between; and some in a row may be dropped.
     assert np.median(slow.ages_ms) < 2 * 1e3 * QUEUE_S
     assert np.percentile(slow.ages_ms, 95) < 2 * 1e3 * QUEUE_S + 8 * PERIOD_MS
     assert slow.dropped > 0
     assert slow.closest_m > 0.22
-    assert slow.error_m < error_m, "later than in time, but there"
+    assert slow.error_m < 0.05, "later than in time, but there"
     assert set(slow.states.values()) <= {"running", "stopping", "stopped"}
 
 

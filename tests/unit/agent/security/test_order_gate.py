@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
+from agent.messages.codec import decode, encode, head
 from agent.messages.types import MISSION_BYTES_MAX, Ask, Faults, Heartbeat, Mission, Resume, Stop
 from agent.security.identity import of_operator
 from agent.security.order_gate import AGE_NS_MAX, SEALS_BYTES_MAX, OrderGate
@@ -125,8 +125,8 @@ def test_heartbeats_do_not_displace_what_is_said_again(scene: Scene) -> None:
 
 
 def test_what_is_remembered_is_bounded(scene: Scene) -> None:
-    head = encode(ORDERS[key_expressions.mission(FLEET)])[:3]
-    large = [head + bytes([number]) * (MISSION_BYTES_MAX - 3) for number in range(30)]
+    begin = head(Mission)
+    large = [begin + bytes([number]) * (MISSION_BYTES_MAX - len(begin)) for number in range(30)]
     for payload in large:
         pass_on(scene, key_expressions.mission(FLEET), payload)
     for gate in (scene.one, scene.operator):
