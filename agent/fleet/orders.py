@@ -120,8 +120,8 @@ class OrderSection:
     trajectory: TrajectorySection | None = setting(
         None,
         "`reshape`: where to go from now on; its time counts from the change. `start_m` of a `line` or "
-        "`hold` counts from where the formation's reference is then, so that left out it goes on from there; "
-        "a `circle` and `waypoints` are where they are.",
+        "`hold` counts from where the formation's reference will be half way through the change, so that "
+        "left out it goes on from there; a `circle` and `waypoints` are where they are.",
     )
     over_s: float | None = setting(
         None,

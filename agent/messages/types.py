@@ -399,15 +399,19 @@ class Removed(NamedTuple):
 
 class Left(NamedTuple):
     """How far the motion of a formation is from that of its mission some time after its take-over: that of
-    its reference point, and places from there."""
+    its reference point, the mean of its places from there, and each place from that mean."""
 
     x: Annotated[float, About("Reference point, east", "m")]
     y: Annotated[float, About("Reference point, north", "m")]
     vx: Annotated[float, About("Velocity of that, east", "m/s")]
     vy: Annotated[float, About("Velocity of that, north", "m/s")]
-    places: Annotated[float, About("No place is further off from there than so", "m")]
+    mean_x: Annotated[float, About("Mean of the places from there, east", "m")]
+    mean_y: Annotated[float, About("Mean of the places from there, north", "m")]
+    mean_vx: Annotated[float, About("Velocity of that, east", "m/s")]
+    mean_vy: Annotated[float, About("Velocity of that, north", "m/s")]
+    places: Annotated[float, About("From the mean, no place is further off than so", "m")]
     rate: Annotated[float, About("That changes no faster than so", "m/s")]
-    reach: Annotated[float, About("No place is further from the reference point than so", "m")]
+    reach: Annotated[float, About("No place is further from the mean than so", "m")]
 
 
 class Mission(NamedTuple):

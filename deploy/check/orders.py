@@ -75,7 +75,7 @@ def _too_soon(place: str, order: OrderSection, before: Plan, plan: Plan, fleet: 
     if plan.from_ns <= plan.mission.epoch_ns or not plan.blend_ns:
         return
     speed = peaks_of(before, plan, plan.blend_ns, fleet).speed
-    least_ns = blend_ns_for(before, plan, fleet)
+    least_ns = blend_ns_for(before, lambda _: plan, fleet)
     if least_ns is not None and speed > OVER_MAX * max(
         speed_max(fleet), peaks_of(before, plan, least_ns, fleet).speed
     ):

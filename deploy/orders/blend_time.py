@@ -9,19 +9,21 @@ that is over,
 What the blend adds to the accelerations of the two is kept below a third of what a robot can do, so that two
 thirds are left to the law; the speed below the greatest one. S' is 15/8 at most, |S''| 10/sqrt(3).
 
-r_old may be in a blend itself. The motion of the reference point and the places from there are blended alike,
-each by itself; so a mission says what is left of both at some times of its blend (`left_of`): of the first as
-it is, of places how far any is off at most. (Where more than `WITHIN_MAX` blends are within one another the
-motion is another one, and this is only near.)
+r_old may be in a blend itself. The motion of the reference point, the mean of the places from there and each
+place from that mean are blended alike, each by itself; so a mission says what is left of them at some times
+of its blend (`left_of`): of the first two as it is, of places how far any is off at most. (Where more than
+`WITHIN_MAX` blends are within one another the motion is another one, and this is only near.)
 """
 
 from __future__ import annotations
 
-from math import hypot
+from collections.abc import Callable
+from math import hypot, inf
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
@@ -39,20 +41,21 @@ _SPEED_OVER: Final = 1.1
 _WORTH: Final = 2.0
 """No more than so many times as long for the speed: the fleet would go on with what is over."""
 _LONGER: Final = 1.1
-_STEP: Final = 4
+_STEP: Final = 5
 """A mission says what is left at each of so many shares."""
-_SHARES: Final = np.linspace(0.0, 1.0, 16 * _STEP + 1)
+_SHARES: Final = np.linspace(0.0, 1.0, 12 * _STEP + 1)
 _SHAPE: Final = np.array([blend_shape(float(share)) for share in _SHARES])
 
 
 class _Motions(NamedTuple):
     """At `_SHARES` of a blend from one plan to the next, (samples, ...) each.
 
-    way, faster: from the reference point before to the one after, m, and how fast that changes, m/s.
-    velocity: of the reference point before, m/s.
-    places, rate: how far any place may still be from where the plan before has it, and how fast it comes
-        there, m, m/s.
-    reach: how far any place is from the reference point at most, m.
+    way, faster: from the reference point before to the one after, and from the mean of the places there
+        before to that after, (samples, 2, 2), m, and how fast that changes, m/s.
+    velocity: of the mean place before, m/s.
+    places, rate: how far any place may still be from where the plan before has it, from the mean, and how
+        fast it comes there, m, m/s.
+    reach: how far any place is from the mean at most, m.
     """
 
     way: Floats
@@ -72,7 +75,7 @@ class Peaks(NamedTuple):
     to_go: float
 
 
-def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int | None:
+def blend_ns_for(before: Plan, after: Callable[[int], Plan], fleet: Fleet) -> int | None:
     """Least blend, at least 1 s, in which the members' desired motion keeps the limits of `[control]`; None
     where there is none of `BLEND_MAX_S`.
 
@@ -82,22 +85,26 @@ def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int | None:
     known of places that already move is a bound.
 
     Args:
-        before: the latest plan; `after`: the next one, whose `blend_ns` is not looked at.
+        before: the latest plan; `after`: the next one for a blend of so many ns.
     """
     most, acceleration_max = _limits(fleet)
-    unfinished = after.from_ns < before.from_ns + before.blend_ns
-    enough, seconds = 0.0, BLEND_MIN_S
-    while seconds < BLEND_MAX_S:
-        peaks = peaks_of(before, after, round(seconds * NS_PER_S), fleet)
+    unfinished = after(0).from_ns < before.from_ns + before.blend_ns
+    to_go = peaks_of(before, after(0), NS_PER_S, fleet).to_go
+    first, best, seconds = inf, (inf, 0), BLEND_MIN_S
+    while seconds < min(BLEND_MAX_S, _WORTH * first):
+        blend_ns = round(seconds * NS_PER_S)
+        peaks = peaks_of(before, after(blend_ns), blend_ns, fleet)
         if peaks.acceleration <= acceleration_max:
             if peaks.speed <= most:
-                return round(seconds * NS_PER_S)
-            if not enough and RATE_MAX * peaks.to_go <= _SPEED_SHARE * most * seconds:
-                enough = seconds
-            if enough and unfinished and (peaks.speed <= _SPEED_OVER * most or seconds > _WORTH * enough):
-                break
+                return blend_ns
+            if RATE_MAX * to_go <= _SPEED_SHARE * most * seconds and (unfinished or not best[1]):
+                best = min(best, (peaks.speed, blend_ns))
+                if unfinished:
+                    first = min(first, seconds)
+                    if peaks.speed <= _SPEED_OVER * most:
+                        break
         seconds *= _LONGER
-    return round(enough * NS_PER_S) if enough else None
+    return best[1] or None
 
 
 def peaks_of(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> Peaks:
@@ -107,12 +114,13 @@ def peaks_of(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> Peaks:
         return Peaks(0.0, 0.0, 0.0)
     old, seconds = _motions(before, after, blend_ns, fleet), blend_ns / NS_PER_S
     share, rate, bend = _SHAPE[:, 0], _SHAPE[:, 1] / seconds, _SHAPE[:, 2] / (seconds * seconds)
+    faster = old.faster.sum(axis=1)
 
     def most(moves: Floats, places: Floats) -> Floats:
         """(3, samples): as `Peaks`, of `moves` and of what any place may be from there."""
-        way = old.way + moves[:, None]  # (moves, samples, 2)
-        velocity = old.velocity + share[:, None] * old.faster + rate[:, None] * way
-        acceleration = 2.0 * rate[:, None] * old.faster + bend[:, None] * way
+        way = old.way.sum(axis=1) + moves[:, None]  # (moves, samples, 2)
+        velocity = old.velocity + share[:, None] * faster + rate[:, None] * way
+        acceleration = 2.0 * rate[:, None] * faster + bend[:, None] * way
         speed, harder, far = (
             np.linalg.norm(each, axis=2).max(axis=0) for each in (velocity, acceleration, way)
         )
@@ -120,7 +128,7 @@ def peaks_of(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> Peaks:
         harder += np.abs(bend) * places + 2.0 * rate * old.rate
         return np.array((speed, harder, far + places))
 
-    # Of places that are on their way, two things are known: how far from their places, and from the middle.
+    # Of places that are on their way, two things are known: how far from their places, and from the mean.
     bound = most(moves, old.places)
     if old.places[0] > 0.0:
         bound = np.minimum(bound, most(np.zeros((1, 2)), old.reach + _reach(after)))
@@ -128,19 +136,28 @@ def peaks_of(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> Peaks:
     return Peaks(float(speed.max()), float(harder.max()), float(far[0]))
 
 
+def reference_at(before: Plan, time_ns: int, fleet: Fleet) -> Vector:
+    """Where the motion before the next plan has the reference point, m: by the latest plan, or on the way to
+    that."""
+    x, y = before.reference(time_ns)[:2]
+    left = _left(before, [time_ns], fleet)[0]
+    return x + float(left[0]), y + float(left[1])
+
+
 def left_of(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> tuple[Left, ...]:
     """What is left of the motion before `after` in a blend of this length (`Mission.left`)."""
     if not blend_ns:
-        return (Left(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, _reach(after)),)
+        return (Left(*(0.0,) * 10, _reach(after)),)
     old = _motions(before, after, blend_ns, fleet)
     share, rate = _SHAPE[:, 0], _SHAPE[:, 1] * NS_PER_S / blend_ns
     rest = 1.0 - share
-    away = -rest[:, None] * old.way
-    speed = rate[:, None] * old.way - rest[:, None] * old.faster
+    away = -rest[:, None, None] * old.way
+    speed = rate[:, None, None] * old.way - rest[:, None, None] * old.faster
     moved = float(np.linalg.norm(_moves(before, after), axis=1).max(initial=0.0))
     further = np.minimum(moved + old.places, old.reach + _reach(after))
     reach = rest * old.reach + share * _reach(after)
-    columns = np.column_stack((away, speed, rest * further, rate * further + rest * old.rate, reach))
+    means = np.concatenate((away, speed), axis=2).reshape(len(rest), 8)
+    columns = np.column_stack((means, rest * further, rate * further + rest * old.rate, reach))
     return tuple(Left(*(float(value) for value in row)) for row in columns[::_STEP])
 
 
@@ -149,31 +166,42 @@ def _limits(fleet: Fleet) -> tuple[float, float]:
     return speed_max(fleet), _ACCELERATION_SHARE * fleet.control.max_acceleration
 
 
+def _mean(plan: Plan) -> Floats:
+    """(2,): the mean of the members' places, m, from the reference point."""
+    mean: Floats = np.array(list(plan.offsets.values()) or [(0.0, 0.0)]).mean(axis=0)
+    return mean
+
+
 def _moves(before: Plan, after: Plan) -> Floats:
-    """(n, 2): how much further from the reference point, m, those are to be who have a place in both."""
+    """(n, 2): how much further from the mean place, m, those are to be who have a place in both."""
     stay = [robot for robot in after.members if robot in before.offsets]
     moves = [np.subtract(after.offsets[robot], before.offsets[robot]) for robot in stay]
-    return np.unique(np.array(moves).reshape(-1, 2), axis=0)
+    return np.unique(np.array(moves).reshape(-1, 2), axis=0) - (_mean(after) - _mean(before))
 
 
 def _reach(plan: Plan) -> float:
-    """How far the members' places are from the reference point at most, m."""
-    return max((hypot(x, y) for x, y in plan.offsets.values()), default=0.0)
+    """How far the members' places are from their mean at most, m."""
+    mean_x, mean_y = _mean(plan)
+    return max((hypot(x - mean_x, y - mean_y) for x, y in plan.offsets.values()), default=0.0)
 
 
 def _motions(before: Plan, after: Plan, blend_ns: int, fleet: Fleet) -> _Motions:
     """Of a blend of this length."""
     times_ns = [after.from_ns + round(float(share) * blend_ns) for share in _SHARES]
-    old, new = (np.array([plan.reference(time_ns)[:4] for time_ns in times_ns]) for plan in (before, after))
     left = _left(before, times_ns, fleet)
-    old += left[:, :4]
-    return _Motions(new[:, :2] - old[:, :2], new[:, 2:] - old[:, 2:], old[:, 2:], *left[:, 4:].T)
+    old, new = np.zeros((2, len(times_ns), 2, 4))
+    for motion, plan in ((old, before), (new, after)):
+        motion[:, 0] = [plan.reference(time_ns)[:4] for time_ns in times_ns]
+        motion[:, 1, :2] = _mean(plan)
+    old += left[:, :8].reshape(-1, 2, 4)
+    way = new - old
+    return _Motions(way[..., :2], way[..., 2:], old[..., 2:].sum(axis=1), *left[:, 8:].T)
 
 
 def _left(before: Plan, times_ns: list[int], fleet: Fleet) -> Floats:
-    """(times, 7), as `Left`: what is left of the motion before that of `before`."""
-    left = np.zeros((len(times_ns), 7))
-    left[:, 6] = _reach(before)
+    """(times, 11), as `Left`: what is left of the motion before that of `before`."""
+    left = np.zeros((len(times_ns), 11))
+    left[:, 10] = _reach(before)
     if before.from_ns <= before.mission.epoch_ns or not before.blend_ns:
         return left
     shares = np.clip(np.subtract(times_ns, before.from_ns) / before.blend_ns, 0.0, 1.0)
@@ -185,8 +213,8 @@ def _left(before: Plan, times_ns: list[int], fleet: Fleet) -> Floats:
     speed_most, acceleration_max = _limits(fleet)
     way = min(speed_most * seconds / RATE_MAX, acceleration_max * seconds * seconds / BEND_MAX)
     shape = np.array([blend_shape(float(share)) for share in shares])
-    left[:, 4], left[:, 5] = way * (1.0 - shape[:, 0]), way * shape[:, 1] / seconds
-    left[:, 6] += left[:, 4]
+    left[:, 8], left[:, 9] = way * (1.0 - shape[:, 0]), way * shape[:, 1] / seconds
+    left[:, 10] += left[:, 8]
     return left
 
 
@@ -197,10 +225,12 @@ def _between(said: Floats, shares: Floats, seconds: float) -> Floats:
     step_s = seconds / (len(said) - 1)
     first = np.minimum((shares * (len(said) - 1)).astype(int), len(said) - 2)
     s = (shares * (len(said) - 1) - first)[:, None]
-    (p, v), (q, w) = ((row[:, :2], step_s * row[:, 2:4]) for row in (said[first], said[first + 1]))
     left: Floats = (1.0 - s) * said[first] + s * said[first + 1]
-    left[:, :2] = p + s * (v + s * (3.0 * (q - p) - 2.0 * v - w + s * (2.0 * (p - q) + v + w)))
-    left[:, 2:4] = (
-        v + s * (2.0 * (3.0 * (q - p) - 2.0 * v - w) + 3.0 * s * (2.0 * (p - q) + v + w))
-    ) / step_s
+    for at in (0, 4):
+        (p, v), (q, w) = (
+            (row[:, at : at + 2], step_s * row[:, at + 2 : at + 4]) for row in (said[first], said[first + 1])
+        )
+        b, c = 3.0 * (q - p) - 2.0 * v - w, 2.0 * (p - q) + v + w
+        left[:, at : at + 2] = p + s * (v + s * (b + s * c))
+        left[:, at + 2 : at + 4] = (v + s * (2.0 * b + 3.0 * s * c)) / step_s
     return left

@@ -206,7 +206,7 @@ def test_a_blend_of_the_length_that_is_found_keeps_the_limits(made: list[Plan], 
     if same_course:  # only places change: nothing has to be caught up with
         trajectory = mission_parts(FIRST)[2]
         wanted = plan_of(wanted.mission._replace(trajectory=trajectory, trajectory_ns=EPOCH), FLEET, GEOMETRY)
-    blend_ns = blend_ns_for(FIRST, wanted, FLEET)
+    blend_ns = blend_ns_for(FIRST, lambda _: wanted, FLEET)
     assert blend_ns >= S
     plan = plan_of(wanted.mission._replace(blend_ns=blend_ns), FLEET, GEOMETRY)
     taken = reference([FIRST, plan])

@@ -36,7 +36,7 @@ MISSIONS = st.builds(
     edges=st.just(()),
     robots=st.sampled_from([(), ((1, 0.0, 0.0), (2, 3.0, 0.0)), ((99, 0.0, 0.0),)]),
     removed=st.sampled_from([(), (Removed(1, EPOCH),)]),
-    left=st.sampled_from([(), (Left(0.5, 0.0, 0.1, 0.0, 2.0, 0.3, 1.0),)]),
+    left=st.sampled_from([(), (Left(0.5, 0.0, 0.1, 0.0, 1.0, 0.0, 0.1, 0.0, 2.0, 0.3, 1.0),)]),
 )
 
 

@@ -58,14 +58,16 @@ def test_a_blend_is_as_long_as_its_limits_need_and_not_much_longer(speed_max: fl
         assert speed >= 0.85 * speed_max or acceleration >= 0.8
 
 
-def test_a_blend_into_an_unfinished_one_is_longer():
+@pytest.mark.parametrize("at_s", [11.0, 13.0, 16.0])
+def test_a_blend_into_an_unfinished_one_keeps_the_limits(at_s: float):
     first = plan_after(order("reshape", scale=5.0))
+    assert first.from_ns + first.blend_ns > EPOCH + 17 * S
     second = order(
         "reshape", formation=ShapeSection(offsets=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
     )
-    early, late = plan_after(second, first, at_s=11.0), plan_after(second, first, at_s=40.0)
-    assert early.blend_ns > late.blend_ns
-    assert peaks(FLEET, FIRST, first, early)[1] <= FLEET.control.max_acceleration / 3 * 1.01
+    speed, acceleration = peaks(FLEET, FIRST, first, plan_after(second, first, at_s=at_s))
+    assert speed <= FLEET.control.max_speed_mps * 1.01
+    assert acceleration <= FLEET.control.max_acceleration / 3 * 1.01
 
 
 def test_a_course_too_fast_for_any_blend_gets_one_that_its_places_need():
@@ -77,9 +79,9 @@ def test_a_course_too_fast_for_any_blend_gets_one_that_its_places_need():
 
 def test_who_only_comes_and_goes_needs_the_least_blend():
     alone = plan_after(order("replace", robot=1, by=7))
-    assert blend_ns_for(FIRST, alone, FLEET) == S
+    assert blend_ns_for(FIRST, lambda _: alone, FLEET) == S
     nobody = plan_after(order("leave", robot=1))
-    assert blend_ns_for(FIRST, replace(nobody, members=()), FLEET) == S
+    assert blend_ns_for(FIRST, lambda _: replace(nobody, members=()), FLEET) == S
 
 
 # ---------------------------------------------------------------------- many in turn
@@ -126,8 +128,26 @@ def test_no_place_is_further_off_than_said() -> None:
         time_ns = last.from_ns + last.blend_ns * k // (len(last.mission.left) - 1)
         here = off(made, last, time_ns)
         assert left[:4] == (0.0, 0.0, 0.0, 0.0)
+        assert left[4:8] == pytest.approx(here.mean(axis=0), abs=0.02)
+        here -= here.mean(axis=0)
         assert np.hypot(*here[:, :2].T).max() <= left.places + 1e-6
         assert np.hypot(*here[:, 2:].T).max() <= left.rate + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [((0.0, 0.0), (1.2, 0.0)), ((0.8, 0.0), (-0.8, 0.0)), ((0.9, 0.0), (0.0, 0.9))]
+)
+def test_a_new_line_takes_no_more_than_a_sixth_more_than_the_change_of_velocity(old: Any, new: Any) -> None:
+    """It took four fifths more as long as it began where the formation was when it was taken over."""
+    before = plan_after(order("reshape", trajectory=TrajectorySection("line", velocity_mps=old)))
+    plan = plan_after(
+        order("reshape", trajectory=TrajectorySection("line", velocity_mps=new)), before, at_s=40.0
+    )
+    made = reference(FIRST, before, plan)
+    times_ns = [plan.from_ns + plan.blend_ns * k // 200 for k in range(201)]
+    speeds = [hypot(*(made.motion(2, time_ns) or (0.0,) * 6)[2:4]) for time_ns in times_ns]
+    assert max(speeds) <= 1.5
+    assert plan.blend_ns < 10 * S
 
 
 def quick_orders(random: Random) -> list[Plan]:
@@ -187,5 +207,5 @@ def test_of_a_mission_that_does_not_say_what_is_left_the_worst_is_taken() -> Non
 
 def test_what_is_said_to_be_over_at_once_leaves_nothing() -> None:
     plan = plan_after(order("reshape", scale=2.0, over_s=0.0))
-    assert plan.mission.left == (Left(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pytest.approx(2.0 * sqrt(2.0))),)
+    assert plan.mission.left == (Left(*(0.0,) * 10, pytest.approx(sqrt(2.0))),)
     assert plan_after(order("reshape", scale=0.5), plan, at_s=10.1).blend_ns < 5 * S

@@ -438,14 +438,19 @@ def test_distances_that_need_a_whole_graph_say_so():
 
 
 def test_a_new_line_goes_on_from_where_the_formation_is():
+    """Half way through the blend: so it goes from one velocity to the other without overtaking itself."""
     line = TrajectorySection("line", velocity_mps=(0.0, -0.5))
     mission, plan = after(order("reshape", trajectory=line), FIRST, FLEET)
     assert plan.trajectory_ns == plan.from_ns
-    assert plan.reference(plan.from_ns)[:2] == FIRST.reference(plan.from_ns)[:2]
+    middle_ns = plan.from_ns + plan.blend_ns // 2
+    assert plan.reference(middle_ns)[:2] == pytest.approx(FIRST.reference(middle_ns)[:2])
     assert mission.note == "new trajectory (line)"
     aside = plan_after(order("reshape", trajectory=replace(line, start_m=(1.0, 2.0))))
-    x, y = FIRST.reference(aside.from_ns)[:2]
-    assert aside.reference(aside.from_ns)[:2] == (x + 1.0, y + 2.0)
+    middle_ns = aside.from_ns + aside.blend_ns // 2
+    x, y = FIRST.reference(middle_ns)[:2]
+    assert aside.reference(middle_ns)[:2] == pytest.approx((x + 1.0, y + 2.0))
+    at_once = plan_after(order("reshape", trajectory=line), at_s=-3.0)
+    assert at_once.reference(EPOCH)[:2] == FIRST.reference(EPOCH)[:2]
 
 
 def test_a_circle_and_waypoints_are_where_they_are_given():
