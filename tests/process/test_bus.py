@@ -392,6 +392,7 @@ def throw_at_ports(fleet: Fleet, seed: int) -> None:
                 link.sendall(payload)
 
 
+@pytest.mark.alone
 def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
     seed = 20_080_704
     # On a busy machine the garbage shall be judged, not the scheduler.

@@ -105,6 +105,7 @@ def until_told(
     )  # fmt: skip
 
 
+@pytest.mark.alone
 def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) -> None:
     at, name = fleet.keys, fleet.name
     agents = tuple((robot, "agent") for robot in HONEST)
