@@ -25,7 +25,7 @@ def assert_same_way(run: Path | Recording, simulated: Path | Recording, end_s: f
 
     A run whose processes are given their time goes to the last digit as the simulated one. For each time that
     the machine was late (`late_times`), `LATE_M` more is allowed for `FORGOTTEN_S`. Late more often than
-    `LATE_SHARE` of all ticks: nothing can be said, which is a failure.
+    `LATE_SHARE` of all ticks: nothing can be said, which is a failure: such tests are `alone`.
     """
     one, other = (each if isinstance(each, Recording) else read_run(each) for each in (run, simulated))
     grid = np.arange(0.0, end_s, GRID_S)

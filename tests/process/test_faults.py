@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from agent.common.time import NS_PER_S
 from agent.messages.sequence_numbers import FIRST_ROUND
@@ -224,6 +225,7 @@ def test_a_killed_run_leaves_no_frozen_process(tmp_path: Path) -> None:
     assert not any(map(running, pids))
 
 
+@pytest.mark.alone
 def test_run_and_simulate_give_every_message_the_same_fate(tmp_path: Path) -> None:
     faults = (
         *("--set", "faults.loss=20%", "--set", "faults.delay=normal 60ms 30ms"),
