@@ -17,7 +17,7 @@ LATE_M: Final = 0.02
 after one tick that was 15 ms late, its first, and 70 mm after four that were late by up to 39 ms."""
 FORGOTTEN_S: Final = 10.0
 """By then the formation has pulled a robot back to where it would have been."""
-LATE_SHARE: Final = 0.1
+LATE_SHARE: Final = 0.25
 
 
 def assert_same_way(run: Path | Recording, simulated: Path | Recording, end_s: float, limit_m: float) -> None:
