@@ -71,19 +71,22 @@ def check_orders(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
 
 
 def _too_soon(place: str, order: OrderSection, before: Plan, plan: Plan, fleet: Fleet) -> Iterator[Finding]:
-    """That places move faster than robots can, by how long a change is to take."""
+    """That places move as robots cannot, by how long a change is to take."""
     if plan.from_ns <= plan.mission.epoch_ns or not plan.blend_ns:
         return
-    speed = peaks_of(before, plan, plan.blend_ns, fleet).speed
+    control, peaks = fleet.control, peaks_of(before, plan, plan.blend_ns, fleet)
     least_ns = blend_ns_for(before, lambda _: plan, fleet)
-    if least_ns is not None and speed > OVER_MAX * max(
-        speed_max(fleet), peaks_of(before, plan, least_ns, fleet).speed
-    ):
+    if least_ns is None:
+        return
+    speed = max(speed_max(fleet), peaks_of(before, plan, least_ns, fleet).speed)
+    if peaks.speed > OVER_MAX * speed or peaks.acceleration > control.max_acceleration:
         yield Finding(
             "warning",
             place,
-            f"{order.over_s:g} s are so few that places move at {speed:.3g} m/s, and robots at "
-            f"{speed_max(fleet):g} m/s (control.max_speed_mps): they fall behind, out of formation; "
+            f"{order.over_s:g} s are so few that places move at {peaks.speed:.3g} m/s and "
+            f"{peaks.acceleration:.3g} m/s2, and robots at {speed_max(fleet):g} m/s (control.max_speed_mps) "
+            f"and {control.max_acceleration:g} m/s2 (control.max_acceleration): they fall behind, out of "
+            "formation; "
             f"{least_ns / NS_PER_S:.2g} s are enough",
         )
 

@@ -73,3 +73,12 @@ def test_what_is_left_of_the_change_before_counts() -> None:
     assert not found(far, QUICK.format(at=40, scale=1.05, over=2))
     (finding,) = found(far, QUICK.format(at=12, scale=1.05, over=2))
     assert (finding.level, finding.place) == ("warning", "order[2].over_s")
+
+
+def test_a_turn_that_is_too_sharp_is_said_though_it_is_no_faster() -> None:
+    turn = '[[order]]\nat = {at}\nkind = "reshape"\nover_s = {over}\n[order.trajectory]\nkind = "line"\n'
+    turn += "velocity_mps = [-0.3, -0.1]\n"
+    assert not found(turn.format(at=10, over=3))
+    (finding,) = found(turn.format(at=10, over=0.1))
+    assert (finding.level, finding.place) == ("warning", "order[1].over_s")
+    assert "m/s2 (control.max_acceleration)" in finding.message
