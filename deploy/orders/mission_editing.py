@@ -38,7 +38,7 @@ LEAD_NS: Final = NS_PER_S
 
 
 _FROM_THERE: Final = ("line", "hold")
-"""Trajectories that begin where the formation is."""
+"""Trajectories that count from where the formation is."""
 
 
 class OrderError(ValueError):
@@ -129,13 +129,7 @@ def ordered(
         tuple(Distance(*edge) for edge in change.edges),
         _removed(order, before, now_ns),
     )
-    try:
-        after = written_plan(mission, fleet)
-        decode(encode(mission))
-    except PlanError as error:
-        raise OrderError(str(error)) from None
-    except Malformed as error:
-        raise OrderError(f"the new mission cannot be sent: {error}") from None
+    after = _sendable(mission, fleet)
     if from_ns == before.epoch_ns:
         return mission
 
@@ -156,11 +150,25 @@ def ordered(
             "the one before is over, or say how long it is to take (over_s)"
         )
     there = within(blend_ns)
-    return mission._replace(
+    mission = mission._replace(
         blend_ns=blend_ns,
         trajectory=trajectory_parts(there.section),
         left=left_of(plan, there, blend_ns, fleet),
     )
+    _sendable(mission, fleet)
+    return mission
+
+
+def _sendable(mission: Mission, fleet: Fleet) -> Plan:
+    """Its plan; `OrderError` where robots would not drive it, or not even get it."""
+    try:
+        plan = written_plan(mission, fleet)
+        decode(encode(mission))
+    except PlanError as error:
+        raise OrderError(str(error)) from None
+    except Malformed as error:
+        raise OrderError(f"the new mission cannot be sent: {error}") from None
+    return plan
 
 
 def _join(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
@@ -366,10 +374,11 @@ def _found(offsets: Mapping[int, Vector], edges: Edges, safe: float) -> dict[int
 def _from_there(
     section: TrajectorySection, plan: Plan, fleet: Fleet, from_ns: int, blend_ns: int
 ) -> TrajectorySection:
-    """A line or hold counts from where the reference is when it is taken over; others are where they are.
+    """A line or hold counts from where the motion before has the reference in the middle of the blend; others
+    are where they are.
 
-    It is such that the motion before meets it in the middle of the blend: the velocity of the one then goes
-    over to that of the other by a sixth more than their difference at most, else by four fifths more.
+    The velocity before then goes over to that after by a sixth more than their difference at most; by four
+    fifths more where they meet as the blend begins.
     """
     if section.kind not in _FROM_THERE:
         return section

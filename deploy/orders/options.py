@@ -71,7 +71,7 @@ def shape_tables(
 
     Args:
         plan: what the fleet does now: fields of the trajectory that are not given stay as they are, those
-            of another kind apart; but a line and a hold begin where the formation is.
+            of another kind apart; but a line and a hold count from where the formation is.
         overrides: ``formation.field=value`` and ``trajectory.field=value``, as typed after ``--set``.
         file: tables of a fleet file whose formation and trajectory are wanted, if one was given; `source`
             names it in messages.

@@ -453,6 +453,17 @@ def test_a_new_line_goes_on_from_where_the_formation_is():
     assert at_once.reference(EPOCH)[:2] == FIRST.reference(EPOCH)[:2]
 
 
+def test_what_the_blend_makes_too_far_or_too_long_to_be_sent_is_refused(monkeypatch: pytest.MonkeyPatch):
+    """The line, and what is left, are known only with the blend."""
+    line = TrajectorySection("line", velocity_mps=(-10.0, 0.0), start_m=(1e6 - 10.0, 0.0))
+    assert "start_m" in refused(order("reshape", trajectory=line, over_s=600.0))
+    here, other = (TrajectorySection("line", velocity_mps=(speed, 0.0)) for speed in (0.2, 0.3))
+    size = len(encode(plan_after(order("reshape", trajectory=here)).mission))
+    monkeypatch.setattr("agent.messages.codec.MISSION_BYTES_MAX", size - 1)
+    monkeypatch.setattr("agent.messages.codec.BYTES_MAX", size - 1)
+    assert refused(order("reshape", trajectory=other)).startswith("the new mission cannot be sent: oversized")
+
+
 def test_a_circle_and_waypoints_are_where_they_are_given():
     circle = TrajectorySection("circle", centre_m=(1.0, 2.0), radius_m=2.0, speed_mps=0.4)
     plan = plan_after(order("reshape", trajectory=circle, scale=1.2))
