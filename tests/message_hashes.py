@@ -2,10 +2,14 @@
 
     python tests/message_hashes.py [--only NAME] [--texts]
 
-prints a line for each drive: hash, number of messages, name. Run from the root of two checkouts, each with
-its own `.venv` (or `PYTHONPATH=.`), the outputs are compared with `diff`. Keys, payloads and times of
-arrival are hashed as they are put on the bus. Texts for people (reasons and notes) are messages too;
-`--texts` leaves them out, for a change that means to reword them.
+prints a line for each drive: hash, number of messages, name. Run it in two checkouts and compare the outputs
+with `diff`. Keys, payloads and arrival times are hashed as they are put on the bus. Scenarios are read from
+`tests/chaos/kept/drawn` beside this script. To drive another checkout with this version of the script:
+
+    cd OTHER && PYTHONPATH=. .venv/bin/python HERE/tests/message_hashes.py
+
+Texts for people (reasons and notes) are messages too. `--texts` leaves them out, for a change that rewords
+them.
 """
 
 from __future__ import annotations
@@ -17,11 +21,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 FLEETS = {"delta": 30.0, "obstacles": 60.0, "reserve": 60.0, "rovers": 30.0, "lattice45": 20.0}
 """Bundled fleets and for how long they drive (s): reserve long enough for all its orders."""
 CHAOS_SEEDS = range(20)
+DRAWN = Path(__file__).parent / "chaos/kept/drawn"
 ORDERS = """
 [[order]]
 at = "12s"
@@ -47,8 +53,8 @@ TEXTS = ("reason", "note", "transition", "text", "message", "what")
 
 
 def module(*names: str) -> Any:
-    """The first of these modules that there is: a checkout from before the rooms has other names."""
-    for name in names:
+    """The first of these modules that exists, in the package `handfast` or at the top level."""
+    for name in [f"{prefix}{name}" for name in names for prefix in ("handfast.", "")]:
         try:
             return import_module(name)
         except ModuleNotFoundError as error:
@@ -67,9 +73,7 @@ def fleet_of(name: str) -> Any:
     fleet = module("agent.fleet.loading", "agent.fleet.model", "agent.fleet")
     geometry = module("agent.formation.geometry", "agent.formation")
     if name.startswith("chaos-"):
-        text = module("deploy.chaos.run.run", "deploy.chaos.run").scenario_text(
-            module("deploy.chaos.run.draw", "deploy.chaos.draw").draw(int(name.removeprefix("chaos-")))
-        )
+        text = (DRAWN / f"{name.removeprefix('chaos-')}.toml").read_text(encoding="utf-8")
     else:
         arguments = module(
             "deploy.console.arguments", "deploy.inventory.arguments", "deploy.console.arguments"
