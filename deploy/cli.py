@@ -129,11 +129,6 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
         Command("drive", "running.drive", "drive a fleet that is up, and report"),
         Command("fetch", "hosts.fetch", "bring what robots recorded into one run's folder"),
         Command("down", "hosts.down", "end a fleet on its hosts"),
-        Command(
-            "export-deployment",
-            "hosts.export_deployment",
-            "write a fleet as a folder for Ansible, to bring up hundreds of robots",
-        ),
     ),
     "set up your shell": (
         Command(COMPLETION, "local.completion", "print what has the tab key complete commands in your shell"),

@@ -16,8 +16,6 @@ from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
 HERE = Path(__file__).parent
 PROCESS_FOLDERS = ("hosts", "process")  # every test in them starts processes; the longest first
-# Ansible takes a quarter of the time of all tests that have hosts.
-APART = ("tests/hosts/test_export_deployment.py",)
 MAY_SKIP = ("autopilot", "realtime")
 ORDER = ("", "slow", "process", "autopilot")  # quick tests first, so that a plain mistake shows at once
 MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test starts
@@ -56,12 +54,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadSco
 
 
 class FewSetsOfHosts(LoadFileScheduling):
-    """Gives all tests of tests/hosts to one worker, but for those of `APART`: it would have them long after
-    the others are done."""
+    """Gives all tests of tests/hosts to one worker."""
 
     def _split_scope(self, nodeid: str) -> str:
         scope: str = super()._split_scope(nodeid)
-        return "tests/hosts" if scope.startswith("tests/hosts/") and scope not in APART else scope
+        return "tests/hosts" if scope.startswith("tests/hosts/") else scope
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

@@ -15,7 +15,6 @@ SCENARIOS: Final = _DATA / "scenarios"
 TEMPLATE: Final = _DATA / "template.toml"
 PAGE: Final = _DATA / "page"
 FOXGLOVE_LAYOUT: Final = _DATA / "foxglove" / "handfast.json"
-ANSIBLE: Final = _DATA / "ansible"
 ROBOT_REQUIREMENTS: Final = _DATA / "robot_requirements.txt"
 WORKER_REQUIREMENTS: Final = _DATA / "worker_requirements.txt"
 

@@ -1,18 +1,12 @@
-"""Certificates for robots and routers on hosts: their keys are made there, what goes to and fro is public.
-
-`HostKeys` brings requests and certificates itself, over ssh. `read_requests` and `answer` are for programs
-that carry them (`handfast keys --sign`).
-"""
+"""Certificates for robots and routers on hosts, whose private keys are made there and stay there."""
 
 from __future__ import annotations
 
 import json
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from agent.common.wording import printable
 from agent.fleet.hosts import HostSection
@@ -20,21 +14,12 @@ from agent.fleet.model import Fleet
 from agent.security.certificates import PEM_BYTES_MAX, CertificateError, authority_from_pem, fingerprint
 from agent.security.credentials import AUTHORITY_CERTIFICATE
 from agent.security.identity import Identity, of_robot, of_router
-from agent.security.private_files import reason
-from deploy.console.arguments import InputError
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.inventory.certificate_authority import Authority, AuthorityError
-from deploy.inventory.hosts import located, robots_on, used_hosts
+from deploy.inventory.hosts import robots_on
 from deploy.inventory.operator_credentials import short
 
 MODULE: Final = "agent.security"
-REQUESTS_BYTES_MAX: Final = 4_000_000
-REQUEST_BYTES_MAX: Final = 8_192
-"""One robot's, with what it says beside it, as JSON."""
-REQUESTS_SHAPE: Final = (
-    "must be JSON, by robot what `agent.security request` says of it (by router.1 for a router): "
-    '{"1": {"request": "-----BEGIN ...", "authority": FINGERPRINT}}'
-)
 WHY_MAX: Final = 200
 
 
@@ -112,9 +97,9 @@ class HostKeys:
             with suppress(CertificateError):  # one that is damaged rules nobody
                 found = fingerprint(authority_from_pem(pem))
         self._found[connection.host.name] = found
-        if self._authority is not None:
-            refuse_another(self._authority, found, self._file, take_over=self._take_over)
-        elif found not in ("", self._own):
+        if found in ("", self._own) or self._take_over:
+            return
+        if self._authority is None or not self._authority.has_been(found):
             raise AnotherAuthorityError(refusal(found, self._own, self._file))
 
     def replaces(self, host: str) -> bool:
@@ -163,122 +148,3 @@ class HostKeys:
         except AuthorityError as error:
             raise HostError(str(error)) from None
         return signed.decode("ascii")
-
-
-def refuse_another(authority: Authority, found: str, file: str, *, take_over: bool) -> None:
-    """Raises `AnotherAuthorityError` where `found`, the fingerprint of robots' authority ("" for none), is
-    neither this one's nor one's that this one has replaced; unless they are to be taken over."""
-    if found and not take_over and not authority.has_been(found):
-        raise AnotherAuthorityError(refusal(found, authority.fingerprint, file))
-
-
-class Asked(NamedTuple):
-    """A request (PEM), and the fingerprint of the authority that who asks has, "" for none; or why it is no
-    request."""
-
-    request: str
-    authority: str
-    trouble: str = ""
-
-
-def read_input(file: str, most: int = REQUESTS_BYTES_MAX) -> bytes:
-    """What is in a file, and one byte more than `most` of one that is too large; ``-`` is standard input.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    try:
-        with open(sys.stdin.fileno() if file == "-" else Path(file), "rb", closefd=file != "-") as stream:
-            return stream.read(most + 1)
-    except OSError as error:
-        raise InputError(f"cannot read {file}: {reason(error)}") from None
-
-
-def read_requests(data: bytes, what: str, fleet: Fleet) -> dict[str, Asked]:
-    """Requests, as `REQUESTS_SHAPE` says. What one says is wrong with its own alone.
-
-    Args:
-        what: where they are from, for messages.
-
-    Raises:
-        InputError: the whole is something else.
-    """
-    try:
-        found = json.loads(data) if len(data) <= REQUESTS_BYTES_MAX else None
-    except ValueError:  # no JSON, or no UTF-8
-        found = None
-    if not isinstance(found, dict):
-        raise InputError(
-            f"{what} is no request: neither an operator's (PEM, of --request) nor robots', "
-            f"which {REQUESTS_SHAPE}"
-        )
-    there_are = _identities(fleet)
-    for name in found:
-        if name not in there_are:
-            raise InputError(f"{what}: there is no robot {name[:20]} in {fleet.fleet.name}")
-    return {name: _asked(each, f"{what}: {there_are[name]}") for name, each in found.items()}
-
-
-def _identities(fleet: Fleet) -> dict[str, Identity]:
-    """All that may ask for a certificate; robots without a host, too."""
-    found = {str(robot): of_robot(fleet.fleet.name, robot) for robot in fleet.ids}
-    for host in used_hosts(fleet):
-        found |= identities_on(fleet, host)
-    return found
-
-
-def _asked(value: object, who: str) -> Asked:
-    texts = [value.get(name) for name in ("request", "authority")] if isinstance(value, dict) else [None]
-    if all(isinstance(text, str) and text.isascii() and len(text) <= REQUEST_BYTES_MAX for text in texts):
-        return Asked(*map(str, texts))
-    return Asked("", "", f"{who} {REQUESTS_SHAPE}")
-
-
-class Answer(NamedTuple):
-    """By who has asked, what ``agent.security store`` takes (PEM), and why there is no certificate."""
-
-    signed: dict[str, str]
-    refused: dict[str, str]
-
-    def as_json(self, authority: Authority) -> str:
-        """With the authority's own certificate, for who carries it."""
-        about = {"authority": authority.certificate_pem.decode("ascii"), **self._asdict()}
-        return json.dumps(about)
-
-
-def answer(
-    fleet: Fleet,
-    authority: Authority,
-    requests: Mapping[str, Asked],
-    now_s: float,
-    file: str,
-    *,
-    take_over: bool = False,
-) -> Answer:
-    """What the authority says to requests; one that it refuses takes nothing from the others.
-
-    A certificate holds for the address of the host.
-
-    Args:
-        file: the fleet's, as it is named in commands.
-        take_over: whether robots of another authority are given certificates of this one.
-    """
-    fleet = located(fleet)
-    identities = _identities(fleet)
-    hosts = {name: host for host in used_hosts(fleet) for name in identities_on(fleet, host)}
-    found = Answer({}, {})
-    for name, asked in requests.items():
-        try:
-            if asked.trouble:
-                raise AuthorityError(asked.trouble)
-            if name not in hosts:
-                raise AuthorityError(
-                    f"robot {name} has no host: `handfast keys --robot {name} --out DIR` makes its key"
-                )
-            refuse_another(authority, asked.authority, file, take_over=take_over)
-            where = [hosts[name].address or hosts[name].name]
-            signed = authority.sign(identities[name], asked.request.encode(), where, now_s)
-            found.signed[name] = signed.decode("ascii")
-        except (AnotherAuthorityError, AuthorityError) as error:
-            found.refused[name] = str(error)
-    return found

@@ -1,7 +1,7 @@
 """Which fleets this operator has brought up on hosts and not taken down: known without asking the network.
 
 `handfast up` notes a host before it changes anything there, `handfast down` strikes it out when nothing is
-left there. What other operators do, and Ansible, is not known here.
+left there. What other operators do is not known here.
 """
 
 from __future__ import annotations

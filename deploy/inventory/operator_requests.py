@@ -36,7 +36,6 @@ from deploy.inventory.operator_credentials import (
 
 SIGNED_BYTES_MAX: Final = 2 * PEM_BYTES_MAX
 """Of what `install` takes: two certificates."""
-REQUEST_MARK: Final = b"-----BEGIN CERTIFICATE REQUEST-----"
 
 
 def request(folder: Path, identity: Identity) -> bytes:

@@ -5,27 +5,20 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from pathlib import Path
 
-from agent.common.exit import FAILED, PASSED
-from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.security import private_files
 from agent.security.credentials import authority_of
-from agent.security.identity import Identity, of_operator
+from agent.security.identity import of_operator
 from deploy.console.arguments import InputError
 from deploy.console.passphrase import passphrase
-from deploy.hosts.certificates import answer, read_input, read_requests
 from deploy.inventory import operator_requests
 from deploy.inventory.authority_backup import BACKUP_BYTES_MAX, packed, unpack
 from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.certificate_requests import REQUEST_BYTES_MAX
 from deploy.inventory.operator_credentials import AUTHORITY_FILE, OPERATOR, operator_name, short
-from deploy.inventory.operator_requests import (
-    REQUEST_MARK,
-    SIGNED_BYTES_MAX,
-    requested_by,
-)
+from deploy.inventory.operator_requests import SIGNED_BYTES_MAX, requested_by
 
 
 def existing(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> Authority:
@@ -46,36 +39,32 @@ def request(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: floa
     )
 
 
-def sign(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> int:
-    """Signs an operator's request, or robots'; the exit status."""
-    data = read_input(options.sign)
-    what = "standard input" if options.sign == "-" else options.sign
-    if data.lstrip().startswith(REQUEST_MARK):
-        who = requested_by(data, fleet.fleet.name, fleet.network.operators, f"the request in {what}")
-        with existing(options, fleet, folder, now_s) as authority:
-            _signed(authority.sign(who, data, (), now_s), options.out, who, authority)
-        return PASSED
-    asked = read_requests(data, what, fleet)
+def sign(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
+    """Signs an operator's request."""
+    data = _read(options.sign, REQUEST_BYTES_MAX)
+    who = requested_by(data, fleet.fleet.name, fleet.network.operators, f"the request in {options.sign}")
     with existing(options, fleet, folder, now_s) as authority:
-        found = answer(fleet, authority, asked, now_s, options.fleet, take_over=options.take_over)
-        print(found.as_json(authority))
-    for name, why in found.refused.items():
-        whose = name.replace(".", " ") if "." in name else f"robot {name}"
-        print(f"handfast: {whose} gets no certificate: {printable(why)}", file=sys.stderr)
-    return FAILED if found.refused else PASSED
+        signed = authority.sign(who, data, (), now_s)
+        if options.out is None:
+            print(signed.decode("ascii"), end="")
+            return
+        private_files.write(Path(options.out).expanduser(), signed)
+        digits = short(authority.fingerprint)
+        print(f"{who}: wrote {options.out}; say to whom it is for that the authority is {digits}")
 
 
-def _signed(signed: bytes, out: str | None, who: Identity, authority: Authority) -> None:
-    if out is None:
-        print(signed.decode("ascii"), end="")
-        return
-    private_files.write(Path(out).expanduser(), signed)
-    print(f"{who}: wrote {out}; say to whom it is for that the authority is {short(authority.fingerprint)}")
+def _read(file: str, most: int) -> bytes:
+    """Contents of a file, at most one byte more than `most`."""
+    try:
+        with Path(file).expanduser().open("rb") as stream:
+            return stream.read(most + 1)
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {private_files.reason(error)}") from None
 
 
 def install(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
     """Takes an operator's certificate that the authority elsewhere has signed."""
-    bundle = read_input(options.install, SIGNED_BYTES_MAX)
+    bundle = _read(options.install, SIGNED_BYTES_MAX)
     found = operator_requests.install(folder, bundle, fleet.fleet.name, fleet.network.operators, now_s)
     who = found.identity
     print(
@@ -102,7 +91,7 @@ def backup(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float
 
 def restore(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
     """Brings the authority back from a backup."""
-    data = read_input(options.restore, BACKUP_BYTES_MAX)
+    data = _read(options.restore, BACKUP_BYTES_MAX)
     if len(data) > BACKUP_BYTES_MAX:
         raise InputError(f"{options.restore} is too large for a backup (over {BACKUP_BYTES_MAX} bytes)")
     secret = passphrase(f"the backup {options.restore}", new=False)

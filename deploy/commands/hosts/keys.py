@@ -36,7 +36,6 @@ from agent.security.identity import (
 from agent.security.private_files import KeyFileError, exists
 from deploy.commands.hosts.key_exchange import backup, existing, install, request, restore, sign
 from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved, place_for
-from deploy.hosts.certificates import AnotherAuthorityError
 from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
 from deploy.inventory.certificate_requests import RequestError
 from deploy.inventory.operator_credentials import (
@@ -63,8 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ": the fleet's authority and this operator's certificate, if "
         "they are missing or expire soon. Robots with a host get theirs from `handfast up`; their private "
         "keys never leave them. A second operator, on another computer, asks the authority's for a "
-        "certificate: --request there, --sign here, --install there. Exit status: 0; 1 --sign refused some "
-        "robots; 2 bad input.",
+        "certificate: --request there, --sign here, --install there. Exit status: 0; 2 bad input.",
     )
     fleet_arguments(parser)
     parser.add_argument(
@@ -115,12 +113,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     alone.add_argument(
         "--sign",
         metavar="FILE",
-        help="sign an operator's request (PEM; --out FILE); or robots' (and routers' of hosts, as router.1), "
-        "JSON {ROBOT: {request: PEM, authority: FINGERPRINT}}, - for standard input: prints "
-        '{"authority": PEM, "signed": {ROBOT: PEM}, "refused": {ROBOT: WHY}}',
-    )
-    alone.add_argument(
-        "--take-over", action="store_true", help="with --sign: also for robots that have another authority"
+        help="sign the request of another operator (--out FILE)",
     )
     alone.add_argument("--install", metavar="FILE", help="take what --sign wrote, for the key of --request")
     alone.add_argument(
@@ -143,15 +136,9 @@ def _keys(options: argparse.Namespace) -> int:
     try:
         _check(options, fleet)
         alone = next((action for option, action in ALONE.items() if _given(options, option)), None)
-        return (alone or _provide_all)(options, fleet, folder, time.time()) or PASSED
-    except (
-        AnotherAuthorityError,
-        AuthorityError,
-        CredentialsError,
-        IdentityError,
-        KeyFileError,
-        RequestError,
-    ) as error:
+        (alone or _provide_all)(options, fleet, folder, time.time())
+        return PASSED
+    except (AuthorityError, CredentialsError, IdentityError, KeyFileError, RequestError) as error:
         raise InputError(str(error)) from None
 
 
@@ -169,8 +156,6 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
         raise InputError(f"--{alone[0].replace('_', '-')} goes alone: leave out {rest}")
     if options.force and not (options.replace_authority or options.drop_earlier):
         raise InputError("--force belongs to --replace-authority or --drop-earlier")
-    if options.take_over and options.sign is None:
-        raise InputError("--take-over belongs to --sign (or to `handfast up`)")
     if options.request and options.out is None:
         raise InputError("--request needs --out FILE, which is carried to where the authority is")
     to_file = options.request or options.sign is not None
@@ -225,7 +210,7 @@ def _drop(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float)
 
 
 OTHERS: Final = ("renew", "replace_authority", "router", "robot")
-Alone = Callable[[argparse.Namespace, Fleet, Path, float], int | None]
+Alone = Callable[[argparse.Namespace, Fleet, Path, float], None]
 ALONE: Final[Mapping[str, Alone]] = {
     "list": _list,
     "request": request,

@@ -10,8 +10,8 @@ from agent.transport.bus import BusError
 from deploy.hosts import at_rest
 from deploy.hosts.at_rest import Rest, rest_of
 from deploy.hosts.connection import HostError
-from tests.unit.deploy.hosts.test_ansible import fleet
 from tests.unit.deploy.hosts.test_up import There, World
+from tests.unit.deploy.hosts.two_hosts import fleet
 
 
 @pytest.fixture

@@ -336,7 +336,7 @@ def installs(home: Path, tmp_path: Path) -> list[str]:
 
 
 def install(words: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Asks for an installation, all at once as Ansible does: no input is left."""
+    """Asks for an installation, as its only request: no input is left."""
     with open(Path(words[-1]).parent / "asked", "rb") as asked:
         return subprocess.Popen(words, stdin=asked, stdout=subprocess.PIPE)
 

@@ -17,8 +17,8 @@ from deploy.hosts.connection import HostError
 from deploy.hosts.up import BringUp
 from deploy.hosts.view import DONE, FAILED
 from deploy.inventory.hosts import hosts_of
-from tests.unit.deploy.hosts.test_ansible import WHEELS, fleet
 from tests.unit.deploy.hosts.test_up import QUICK, Keys, There, View, World, bring, ends
+from tests.unit.deploy.hosts.two_hosts import WHEELS, fleet
 
 UNIT = "handfast-delta-router.service"
 BOTH = ("rover1", "rover2")

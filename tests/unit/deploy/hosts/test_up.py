@@ -30,7 +30,7 @@ from deploy.hosts.up import BringUp, Timing
 from deploy.hosts.view import DONE, FAILED, Row
 from deploy.inventory.hosts import hosts_of
 from deploy.inventory.own_orders import OwnOrders
-from tests.unit.deploy.hosts.test_ansible import ROOT, WHEELS, fleet
+from tests.unit.deploy.hosts.two_hosts import ROOT, WHEELS, fleet
 
 PATIENCE_S = 20.0
 

@@ -92,6 +92,15 @@ def test_who_is_no_operator_gets_no_signature(run: Run, tmp_path: Path) -> None:
         run("main", "--set", 'network.operators=["main"]', "--sign", str(tmp_path / "anna.csr"))
 
 
+def test_a_request_needs_an_authority_and_a_file(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read /nowhere: no such file or directory"):
+        run("main", "--sign", "/nowhere")
+    run("anna", "--request", "--out", str(tmp_path / "anna.csr"))
+    with pytest.raises(InputError, match=r"delta has no authority in .*: `handfast keys delta` makes it"):
+        run("main", "--sign", str(tmp_path / "anna.csr"))
+    assert not (tmp_path / "main").exists()
+
+
 def test_a_backup_and_its_restoration(run: Run, tmp_path: Path) -> None:
     run("main", "--robot", "3", "--out", str(tmp_path / "r3"))
     before = load(tmp_path / "r3", of_robot(FLEET, 3), time.time())
@@ -128,7 +137,7 @@ def test_what_is_too_large_is_not_read(run: Run, tmp_path: Path) -> None:
     run("main")
     for option, why in (
         ("--install", "these are not two certificates"),
-        ("--sign", "large is no request: neither"),
+        ("--sign", "the request in .*large is too large"),
     ):
         with pytest.raises(InputError, match=why):
             run("main", option, str(tmp_path / "large"))

@@ -163,7 +163,6 @@ def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.Monk
         (["--list", "--renew"], "--list goes alone: leave out --renew"),
         (["--sign", "x", "--backup", "y"], "--sign goes alone: leave out --backup"),
         (["--request"], "--request needs --out FILE"),
-        (["--take-over"], "--take-over belongs to --sign"),
         (["--force"], "--force belongs to --replace-authority"),
         (["--sign", "/nowhere"], "cannot read /nowhere: no such file"),
         (["--install", "/nowhere"], "cannot read /nowhere: no such file"),
