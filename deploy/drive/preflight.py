@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from agent.common.wording import printable
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
@@ -21,6 +22,8 @@ from agent.messages.codec import decode
 from agent.messages.validation import Malformed
 from agent.runtime.clock import RealClock
 from agent.transport.bus import Bus
+from bridges.mavlink.ardupilot.constants import AVOID_ENABLE, RIGHT_FAILSAFES
+from bridges.mavlink.session.parameters import AUDITED
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.drive import realtime
@@ -208,3 +211,54 @@ def to_json(fleet: str, found: Found) -> str:
         ],
     }
     return json.dumps(content, indent=2, ensure_ascii=False)
+
+
+def write_parameters(found: Found, fleet: str) -> str:
+    """Write the parameters to change of each vehicle as FLEET-parameters/robot-N.param, one file a vehicle.
+
+    Mission Planner, MAVProxy and QGroundControl load lines of NAME,VALUE, and comments that begin a line.
+    The files of vehicles with nothing to change are removed.
+
+    Returns:
+        The text for the operator; "" if no vehicle needs a change.
+    """
+    folder = Path(f"{fleet}-parameters")
+    written = []
+    try:
+        for robot, lines in found.items():
+            file = folder / f"robot-{robot}.param"
+            text = parameter_file(f"robot {robot} of {fleet}", lines)
+            if text:
+                folder.mkdir(exist_ok=True)
+                file.write_text(text, encoding="ascii", errors="replace")
+                written.append(robot)
+            else:
+                file.unlink(missing_ok=True)
+    except OSError as error:
+        return f"Cannot write parameters to change into {folder}: {(error.strerror or str(error)).lower()}."
+    if not written:
+        return ""
+    return (
+        f"{robots(written).capitalize()}: parameters to change are in {folder}/robot-N.param. Load each file "
+        "into its vehicle with a ground station, then run preflight again."
+    )
+
+
+def parameter_file(title: str, lines: Sequence[Line]) -> str:
+    """Return the content of a vehicle's parameter file; "" if it has no value to set.
+
+    Values are those that are right for every rover. Comments say what is wrong, and what else to look at."""
+    settable, others = [], []
+    for line in lines:
+        if line.level == OK or line.name not in (*AUDITED, AVOID_ENABLE):
+            continue
+        comment = f"# {printable(str(line))}"
+        if line.name in RIGHT_FAILSAFES:
+            settable += [comment, f"{line.name},{RIGHT_FAILSAFES[line.name]:g}"]
+        else:
+            others.append(comment)
+    if not settable:
+        return ""
+    if others:
+        others.insert(0, "# These depend on the vehicle and its field. Set them yourself:")
+    return "\n".join([f"# Parameters to change, {title} (handfast preflight)", *settable, *others, ""])

@@ -14,23 +14,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.hosts.remote_program import (
-    HostError,
-    command,
-    file_text,
-    listed,
-    request,
-    shown,
-    systemctl,
-)
+from deploy.hosts.remote_program import request
 
 PORTS: Final = ("serial/by-id/*", "serial[0-9]*", "ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*")
 """What there may be a vehicle at, below /dev."""
 PORTS_MAX: Final = 8
-UP: Final = ("active", "activating", "reloading")
-
-
-# ---------------------------------------------------------------------- serial ports
 
 
 @request
@@ -117,28 +105,3 @@ def console(name: str, path: str, proc: str) -> str:
             if {name, path, os.path.basename(path), f"/dev/{name}"} & set(words):
                 return "a login"
     return ""
-
-
-# ---------------------------------------------------------------------- in place of a bridge
-
-
-@request
-def in_place_of_bridges(fleet: str, robots: list[int], module: str, text: str, within_s: float) -> str:
-    """Runs one of our own modules, as the units of these robots' bridges run those, with their fleet file;
-    their units end for it, and those that ran start again whatever happens. Returns what it prints."""
-    names = [f"handfast-{fleet}-robot-{robot}-plant.service" for robot in robots]
-    words = listed("runs", file_text(names[0]) or "")
-    if "--fleet" not in words:
-        raise HostError("it is not up there: `handfast up` first")
-    file = words[words.index("--fleet") + 1]
-    known = shown(names)
-    ran = [name for name in names if known.get(name, {}).get("ActiveState") in UP]
-    try:
-        if ran:
-            systemctl("stop", *ran)
-        asked = [words[0], "-P", "-m", module, "--fleet", file]
-        return command(asked, within_s, text=text, waited_for=True).stdout
-    finally:
-        if ran:
-            systemctl("reset-failed", *ran, check=False)
-            systemctl("start", "--no-block", *ran)

@@ -247,7 +247,17 @@ ARMING_CHECK: Final = ("ARMING_SKIPCHK", "ARMING_CHECK")
 BATT_FS_LOW_ACT: Final = "BATT_FS_LOW_ACT"
 BATT_FS_CRT_ACT: Final = "BATT_FS_CRT_ACT"
 BATT_LOW_VOLT: Final = "BATT_LOW_VOLT"
-BATT_MONITOR: Final = "BATT_MONITOR"
+RIGHT_FAILSAFES: Final = {
+    FS_ACTION: 2.0,
+    FS_THR_ENABLE: 1.0,
+    FS_EKF_ACTION: 1.0,
+    FS_EKF_THRESH: 0.8,
+    FS_CRASH_CHECK: 1.0,
+    BATT_FS_LOW_ACT: 2.0,
+    BATT_FS_CRT_ACT: 2.0,
+}
+"""Failsafe parameters with one value that is right for every rover of a fleet. FS_GCS_ENABLE has none: it
+depends on whether a ground station is always present."""
 FENCE_ENABLE: Final = "FENCE_ENABLE"
 AVOID_ENABLE: Final = "AVOID_ENABLE"
 AVOID_FENCE: Final = 1

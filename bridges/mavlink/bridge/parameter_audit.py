@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import degrees
-from typing import Final, NamedTuple
+from typing import Final
 
 from agent.fleet.mavlink_section import MavlinkSection
 from bridges.mavlink.ardupilot import constants, steering
@@ -75,46 +75,6 @@ _RISKY: Final = (
     (constants.BATT_FS_CRT_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
 )
 _FAILSAFES: Final = tuple(dict.fromkeys(name for name, *_ in _RISKY))
-RIGHT: Final[Mapping[str, float]] = {
-    constants.FS_ACTION: 2.0,
-    constants.FS_THR_ENABLE: 1.0,
-    constants.FS_EKF_ACTION: 1.0,
-    constants.FS_EKF_THRESH: 0.8,
-    constants.FS_CRASH_CHECK: 1.0,
-    constants.BATT_FS_LOW_ACT: 2.0,
-    constants.BATT_FS_CRT_ACT: 2.0,
-}
-"""Failsafes with one value that is right for every rover of a fleet. FS_GCS_ENABLE has none: it depends on
-whether a ground station is always there."""
-LOOKED_AT: Final = (*RIGHT, constants.BATT_MONITOR)
-"""What is read to know what to set."""
-
-
-class Change(NamedTuple):
-    """A parameter that is not as it should be: its value, the right one, and why."""
-
-    name: str
-    value: float
-    right: float
-    why: str
-
-
-def changes(values: Mapping[str, float | None]) -> list[Change]:
-    """What to set of these failsafes; nothing where the vehicle tells no value.
-
-    Args:
-        values: of `LOOKED_AT`, by name.
-    """
-    found = []
-    for name, risky, means, _ in _RISKY:
-        value = values.get(name)
-        if name not in RIGHT or value is None or value not in risky:
-            continue
-        # One that watches no battery has nothing to act on, and whether it should is its owner's affair.
-        if name == constants.BATT_FS_LOW_ACT and not values.get(constants.BATT_MONITOR):
-            continue
-        found.append(Change(name, value, RIGHT[name], means))
-    return found
 
 
 def _failsafes(link: Session) -> Iterator[Check]:

@@ -258,26 +258,6 @@ class Session(Receiver):
         )
         return self._codec.encoded(message)
 
-    def set_parameter(self, name: str, value: float) -> bytes:
-        """The message that sets a parameter of the vehicle; b"" while there is none, while it is armed, for
-        one that is not a rover, and for a value that is not finite. It answers with the value that it has
-        then (`parameters`), one that has no such parameter with nothing. Its type is the vehicle's affair.
-        """
-        if self.system is None or self.armed or self.problem or not isfinite(value):
-            return b""
-        message = dialect.MAVLink_param_set_message(
-            self.system,
-            constants.COMPONENT_AUTOPILOT,
-            name.encode("ascii"),
-            value,
-            constants.PARAM_TYPE_REAL32,
-        )
-        return self._codec.encoded(message)
-
-    def read_parameters(self) -> None:
-        """Reads all parameters anew."""
-        self._parameters.restart()
-
     def tick(self, now_ns: int) -> bytes:
         """All that is due but the setpoint: own heartbeat, TIMESYNC, requests and their repetition. Called
         from the live loop, so that a loop that hangs is not heard either.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.model import Fleet
@@ -16,12 +16,16 @@ if TYPE_CHECKING:
     from deploy.drive.preflight import Found
 
 
+_CHANGES: Final = ("overrides", "law", "faults", "duration", "seed", "orders")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast preflight`` takes."""
     describe(
         parser,
         ". Bridges run for it, and end with it; those of a fleet with hosts run there since `handfast up`, "
-        "and are asked. Nothing is armed or driven. Exit status: 0 nothing blocks (or all are set); 1 "
+        "and are asked. Nothing is armed, driven or changed. Parameters to change are written into "
+        "FLEET-parameters/robot-N.param, for a ground station to load. Exit status: 0 nothing blocks; 1 "
         "something does; 2 bad input; 130 after Ctrl-C.",
     )
     fleet_arguments(parser)
@@ -29,48 +33,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--each", action="store_true", help="all that was found of each vehicle, also of several"
     )
-    either = parser.add_mutually_exclusive_group()
-    either.add_argument(
-        "--set-parameters",
-        action="store_true",
-        help="set the failsafes of disarmed vehicles that have one right value, after showing them and "
-        "asking; what was there before is kept",
-    )
-    either.add_argument(
-        "--restore-parameters",
-        action="store_true",
-        help="set back what --set-parameters has changed, likewise",
-    )
-    parser.add_argument("--yes", action="store_true", help="with either: do not ask, for scripts")
     parser.set_defaults(command=handled(_preflight))
 
 
 def _preflight(options: argparse.Namespace) -> int:
-    from deploy.commands.local.preflight_parameters import kept, set_parameters
-    from deploy.drive.preflight import passed, show, to_json
+    from deploy.drive.preflight import passed, show, to_json, write_parameters
 
-    sets = options.set_parameters or options.restore_parameters
-    if options.yes and not sets:
-        raise InputError("preflight: --yes goes with --set-parameters or --restore-parameters")
-    fleet = None if sets else load(options)
+    fleet = load(options)
     interrupt = Interrupt()
     with interrupt.caught():
-        if fleet is None:
-            if options.json or options.each:
-                raise InputError(
-                    "preflight: --json and --each go with a look alone: say them in one of its own"
-                )
-            return set_parameters(options, interrupt)
         on_hosts = any(robot.host is not None for robot in fleet.robots)
         found = _on_hosts(options, fleet, interrupt) if on_hosts else _here(fleet, interrupt)
     if interrupt.count:
         return INTERRUPTED
-    for note in kept(fleet):
-        print(note, file=sys.stderr if options.json else sys.stdout)
     if options.json:
         print(to_json(fleet.fleet.name, found))
     else:
         show(found, sys.stdout, each=options.each)
+    note = write_parameters(found, fleet.fleet.name)
+    if note:
+        print(note, file=sys.stderr if options.json else sys.stdout)
     return PASSED if passed(found) else FAILED
 
 
@@ -97,9 +79,14 @@ def _on_hosts(options: argparse.Namespace, fleet: Fleet, interrupt: Interrupt) -
         InputError: the fleet is to be another one than those have read; nobody knows where a host is, or this
             operator may not hear them.
     """
-    from deploy.commands.local.preflight_parameters import refuse_changes
     from deploy.hosts.preflight import HostsPreflight
     from deploy.inventory.hosts import located
 
-    refuse_changes(options)
+    for name in _CHANGES:
+        if getattr(options, name):
+            option = "--set" if name == "overrides" else f"--{name}"
+            raise InputError(
+                f"preflight: {option} changes the fleet file, which the bridges on its hosts have read "
+                f"already: change the file and run `handfast up {options.fleet}`"
+            )
     return HostsPreflight(located(fleet), str(fleet_path(options.fleet)), interrupt).run()

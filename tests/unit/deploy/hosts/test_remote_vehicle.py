@@ -1,30 +1,17 @@
-"""What runs on a robot's computer for its vehicle: a look at ports, and a program in place of a bridge."""
+"""What runs on a robot's computer for its vehicle: a look at ports."""
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from agent.fleet.hosts import HostSection
-from deploy.hosts import remote_program, remote_vehicle
+from deploy.hosts import remote_vehicle
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.remote_vehicle import manager_groups, others, port
-from tests.process.harness import wait_for
 from tests.unit.deploy.hosts.test_remote_program import home as home
-from tests.unit.deploy.hosts.test_remote_program import units
-
-BRIDGE = "handfast-two-robot-1-plant.service"
-PROGRAM = """import sys, time
-print(sys.argv[1:], sys.stdin.read())
-sys.exit("no vehicle") if "fails" in __name__ + __file__ else None
-time.sleep(60 if "slow" in __file__ else 0)
-"""
 
 
 @pytest.fixture
@@ -110,87 +97,11 @@ def test_modem_manager_matters_to_usb_ports_alone(
     assert port(terminal, proc=str(tmp_path)) == {"modem": True}
 
 
-# ---------------------------------------------------------------------- over a connection
-
-
-def bridge(home: Path, state: str = "active") -> None:
-    """A unit whose process would be this Python."""
-    units(home).mkdir(parents=True, exist_ok=True)
-    words = f'["{sys.executable}", "-P", "-m", "bridges.mavlink", "--fleet", "{home}/fleet.toml"]'
-    (units(home) / BRIDGE).write_text(f"# runs: {words}\n")
-    (home / "shown").write_text(f"Id={BRIDGE}\nActiveState={state}\n")
-
-
-def begun(home: Path) -> list[str]:
-    """What systemctl was told so far, but for questions."""
-    lines = (home / "told").read_text().splitlines() if (home / "told").exists() else []
-    lines = [line.removeprefix("--user --no-pager ") for line in lines]
-    return [line for line in lines if not line.startswith("show")]
-
-
-STARTED = ["stop " + BRIDGE, "reset-failed " + BRIDGE, "start --no-block " + BRIDGE]
-
-
-@pytest.fixture
-def host(home: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[HostConnection]:
-    """A host with three modules of ours, and a bridge that runs."""
-    for name in ("works", "fails", "slow"):
-        (home / f"{name}.py").write_text(PROGRAM)
-    monkeypatch.setenv("PYTHONPATH", str(home))
-    bridge(home)
-    with HostConnection(HostSection("rover1", "10.0.0.1")) as connection:
-        yield connection
-
-
-def run(host: HostConnection, module: str, robot: int = 1) -> str:
-    host.extend(remote_vehicle)
-    asked = {"fleet": "two", "robots": [robot], "module": module, "text": "words", "within_s": 20.0}
-    return str(host.ask("in_place_of_bridges", **asked))
-
-
-def test_it_needs_nothing_installed(host: HostConnection, terminal: str) -> None:
-    with pytest.raises(HostError, match="KeyError"):
-        host.ask("ports", paths=[terminal])
-    host.extend(remote_vehicle)
-    host.extend(remote_vehicle)
-    assert host.ask("ports", paths=[terminal]) == {terminal: {}}
-
-
-def test_a_program_runs_in_place_of_the_bridge(home: Path, host: HostConnection) -> None:
-    assert run(host, "works") == f"['--fleet', '{home}/fleet.toml'] words\n"
-    assert begun(home) == STARTED
-
-
-def test_the_bridge_starts_again_when_the_program_fails(home: Path, host: HostConnection) -> None:
-    with pytest.raises(HostError, match="no vehicle"):
-        run(host, "fails")
-    assert begun(home) == STARTED
-
-
-def test_the_bridge_starts_again_when_nobody_waits_any_more(home: Path, host: HostConnection) -> None:
-    """As after a Ctrl-C, or when the operator's computer is gone."""
-    text = Path(remote_vehicle.__file__).read_bytes()
-    more = {"do": "also", "module": remote_vehicle.__name__, "blob": len(text)}
-    asked = {"do": "in_place_of_bridges", "fleet": "two", "robots": [1], "module": "slow", "text": ""}
-    with subprocess.Popen(
-        [sys.executable, "-P", "-c", Path(remote_program.__file__).read_text()],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        child.stdin.write(json.dumps(more).encode() + b"\n" + text)
-        child.stdin.write(json.dumps(asked | {"within_s": 60.0}).encode() + b"\n")
-        child.stdin.close()
-        wait_for(lambda: STARTED[0] in begun(home), "the bridge is stopped")
-        child.stdout.close()
-        wait_for(lambda: begun(home) == STARTED, "the bridge is started", 10.0)
-        child.wait(10.0)
-
-
-def test_a_bridge_that_did_not_run_is_not_started(home: Path, host: HostConnection) -> None:
-    bridge(home, "failed")
-    assert run(host, "works")
-    assert begun(home) == []
-    with pytest.raises(HostError, match="`handfast up` first"):
-        run(host, "works", robot=2)
+@pytest.mark.usefixtures("home")
+def test_it_needs_nothing_installed(terminal: str) -> None:
+    with HostConnection(HostSection("rover1", "10.0.0.1")) as host:
+        with pytest.raises(HostError, match="KeyError"):
+            host.ask("ports", paths=[terminal])
+        host.extend(remote_vehicle)
+        host.extend(remote_vehicle)
+        assert host.ask("ports", paths=[terminal]) == {terminal: {}}
