@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 from agent.common.errors import Error
 from agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
@@ -23,8 +23,7 @@ from agent.control.peers.rolling import rolls_of
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.links.ingress import Accept, Decode, Ingress, OnAir
-from agent.links.radio import Radio
+from agent.links.ingress import Decode, Ingress
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
@@ -122,19 +121,17 @@ class Agent:
             sees_all=self._watches_all,
             one_link=fleet.is_routed,
         )
-        self._radio = Radio[OnAir](fleet, robot) if fleet.network.emulate_budget else None
         self._ingress = Ingress(
             fleet,
             robot,
             "agent",
             {"hand": others, "beacon": others, "state": (robot,)},
             self._damaged,
-            self._radio,
             decoder,
         )
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected
-        self._report = StatusReport(self.rejected, self._overload, self._radio, status_hz(len(fleet.robots)))
+        self._report = StatusReport(self.rejected, self._overload, status_hz(len(fleet.robots)))
         self._route(name, others)
 
         self.alive_keys: Final[tuple[str, ...]] = (key_expressions.alive(name, robot, "agent"),)
@@ -186,26 +183,14 @@ class Agent:
         on(key_expressions.resume(name), Resume, self._accept_operators_resume)
         for other in others:
             key = key_expressions.relayed(name, other)
-            on(key, Mission, self._over_the_radio(other, self._accept_mission))
-            on(key, Stop, self._over_the_radio(other, self._relay.accept))
-            on(key, Resume, self._over_the_radio(other, self._relay.accept))
+            on(key, Mission, self._accept_mission)
+            on(key, Stop, self._relay.accept)
+            on(key, Resume, self._relay.accept)
         on(key_expressions.heartbeat(name), Heartbeat, self._situation.accept_heartbeat)
         on(key_expressions.ask(name), Ask, self._relay.accept_question)
         on(key_expressions.beacon(name, robot), Beacon, _own)
         for kind in (Mission, Stop, Resume):
             on(self._relay.key, kind, _own)
-
-    def _over_the_radio(self, other: int, accept: Accept) -> Accept:
-        """`accept` for orders that robot `other` relays: they take their time on a radio, if there is one."""
-        radio = self._radio
-        if radio is None:
-            return accept
-
-        def heard(order: Any, now_ns: int) -> str | None:
-            radio.hear_order(now_ns, other, encode(order))
-            return accept(order, now_ns)
-
-        return heard
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes one message off the bus. What is not valid is counted by its reason and changes nothing."""
@@ -399,8 +384,6 @@ class Agent:
         out += self._relay.due(now_ns)
         stopping = situation.ending or self.state in (State.STOPPING, State.STOPPED)
         out += self._ingress.outgoing(now_ns, flush=stopping)
-        if self._radio is not None:
-            out = self._radio.send(now_ns, out, len(self._listened))
         return out
 
     def _keep_pace(self, now_ns: int, *, rests: bool) -> None:

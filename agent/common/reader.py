@@ -25,6 +25,7 @@ _LINES_CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2
 _INVALID: Final = object()  # what a value that has a problem reads as
 
 _POSITION = re.compile(r"\[\d+\]")
+_ENTRY = re.compile(r"\[\d+\]|\.\d+(?=\.)")  # of an array, in a file or after --set
 
 _SUGGESTIONS_MAX = 100  # nearest names are slow to find: a file of rubbish does not get one for each line
 
@@ -47,13 +48,17 @@ class Reader:
     dicts, arrays of tables as lists of dicts) holds only what is valid: a value with a problem is absent,
     and an element of an array with a problem is None. `build` makes the models when there is no problem.
 
+    Args:
+        replaced: fields that no longer exist, by place without positions, and what replaced each; `robot`
+            stands for `robot_defaults` as well.
+
     Attributes:
         sections: tables of plugins that a model, or one derived from it, may hold besides its own.
         unread: models of which not all such tables are known: an unknown one is no problem there.
     """
 
-    def __init__(self, root: type) -> None:
-        self._root = root
+    def __init__(self, root: type, replaced: Mapping[str, str] | None = None) -> None:
+        self._root, self._replaced = root, replaced or {}
         self.sections: Mapping[type, Sequence[Entry]] = {}
         self.unread: frozenset[type] = frozenset()
         self._problems: list[Problem] = []
@@ -307,6 +312,10 @@ class Reader:
         return self._number(float, value, place, said, raw)
 
     def _unknown(self, model: type, key: str, place: str, value: object = None) -> None:
+        former = _ENTRY.sub("", place.removeprefix("--set ")).replace("_defaults.", ".", 1)
+        if former in self._replaced:
+            self.add(place, f"is no field any more: {self._replaced[former]}")
+            return
         names = list(self.entries(model))
         is_section = isinstance(value, Mapping) and issubclass(model, Sectioned)
         kind = "table" if model is self._root or is_section else "field"

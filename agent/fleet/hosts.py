@@ -166,30 +166,6 @@ class NetworkSection:
         le=10.0,
     )
 
-    budget: float | None = setting(
-        None,
-        "What the radio of one robot may send, and as much receive, with what Zenoh, TLS, TCP and IP add. "
-        "`check` says whether that is enough, and which rates are (docs/radio.md). Half of what a radio has "
-        "that cannot do both at once.",
-        unit="bit/s",
-        ge=1000.0,
-        le=1e12,
-        example='"250 kbit/s"',
-    )
-    emulate_budget: bool = setting(
-        False,
-        "Gives every robot a radio of that `budget` on purpose, for `run` and `simulate`: what it says to "
-        "others waits in one queue, and what it hears of them in another.",
-    )
-    budget_queue_s: float = setting(
-        0.5,
-        "How long a message waits there at most. From half of that on some are dropped by chance, so that "
-        "the queue does not become full.",
-        unit="s",
-        ge=0.01,
-        le=60.0,
-    )
-
 
 @dataclass(frozen=True, slots=True)
 class RecordingSection:
@@ -209,7 +185,6 @@ def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
     _check_operators(values.get("fleet", {}).get("name"), values.get("network", {}).get("operators"), reader)
     network = values.get("network", {})
     hosts, robots = values.get("hosts"), values.get("robots")
-    _check_budget(network, reader)
     _check_routers(network.get("routers") or (), hosts, reader)
     _check_topology(network, reader)
     if hosts is None or robots is None:
@@ -289,11 +264,6 @@ def _check_operators(fleet: str | None, operators: Sequence[str | None] | None, 
             of_operator(fleet, name or MAIN)
         except IdentityError as error:
             reader.add(f"network.operators[{number}]", str(error))
-
-
-def _check_budget(network: Mapping[str, Any], reader: Reader) -> None:
-    if network.get("emulate_budget") and "budget" in network and network["budget"] is None:
-        reader.add("network.budget", 'is missing: emulate_budget needs one, such as "250 kbit/s"')
 
 
 def _check_topology(network: Mapping[str, Any], reader: Reader) -> None:

@@ -27,6 +27,7 @@ from agent.fleet.plugin_tables import NAMES_A_PLUGIN, complete, read_plugins
 from agent.fleet.scenario import ScenarioError, parse_scenario, read_orders
 from agent.fleet.sections import (
     LAWS,
+    REPLACED,
     TRAJECTORY_FIELDS,
     ControlSection,
     load_law,
@@ -116,7 +117,7 @@ def parse_fleet(
     if orders is not None:
         add_orders(raw, orders, orders_source)
 
-    reader = Reader(Fleet)
+    reader = Reader(Fleet, REPLACED)
     law_problems = _apply_law(raw, law, recorded)
     kind_before = _table(raw, "trajectory").get("kind", "hold")
     # First what says which plugins there are: they say which tables there may be.

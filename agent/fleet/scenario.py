@@ -17,6 +17,7 @@ from agent.common.wording import show
 from agent.fleet.fault_checks import check_faults
 from agent.fleet.fault_rules import FaultsSection
 from agent.fleet.orders import OrderSection, check_orders
+from agent.fleet.sections import REPLACED
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ def parse_scenario(text: str, ids: Sequence[int]) -> FaultsSection:
         raw = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ScenarioError([Problem("", f"not valid TOML: {show(str(error), 200)[1:-1]}")]) from None
-    reader = Reader(Scenario)
+    reader = Reader(Scenario, REPLACED)
     values = reader.read(raw)
     check_faults(values.get("faults", {}), ids, reader)
     if reader.problems:

@@ -36,6 +36,13 @@ LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
 }
 """What ``--law NAME`` sets, by table."""
 
+REPLACED: Final[Mapping[str, str]] = {
+    "network.budget": "`check` always says what messages take of a radio; faults.rate limits links",
+    "network.budget_queue_s": "faults.limit bounds the queue of a link that faults.rate limits",
+    "network.emulate_budget": "faults.rate limits links",
+}
+"""Fields of former versions, and what replaced each. `robot` stands for `robot_defaults` as well."""
+
 LAWS_GROUP: Final = "handfast.laws"
 """Group of entry points that are laws of others."""
 

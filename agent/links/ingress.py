@@ -15,7 +15,6 @@ from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import LinkEmulator
-from agent.links.radio import AT_ONCE, DROPPED, Radio
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import FUTURE_NS_MAX, TOPICS, Faults, Message, Outgoing
@@ -40,25 +39,12 @@ class _Route(NamedTuple):
     topic: int | None
 
 
-class OnAir(NamedTuple):
-    """A message that comes over the radio: its key, its bytes, the topic of its link."""
-
-    key: str
-    payload: bytes
-    topic: int
-    message: Any
-
-
-_ON_AIR: Final = (TOPICS.index("hand"), TOPICS.index("beacon"))
-
-
 class Ingress:
     """The incoming links of the agent or the plant of robot `robot`.
 
     Args:
         sources: by topic (`agent.messages.types.TOPICS`), the robots whose messages come here.
         damaged: called with the key of what is no valid message, and why.
-        radio: over which other robots' messages come, None for one that keeps nothing waiting.
         decoder: makes a message of bytes; None for `agent.messages.codec.decode`.
 
     Attributes:
@@ -74,14 +60,12 @@ class Ingress:
         role: Literal["agent", "plant"],
         sources: Mapping[str, Sequence[int]],
         damaged: Callable[[str, Malformed], None] | None = None,
-        radio: Radio[OnAir] | None = None,
         decoder: Decode | None = None,
     ) -> None:
         name = fleet.fleet.name
         self._decode: Decode = decode if decoder is None else decoder
         self.plan: Final = FaultPlan(fleet)
-        self._radio = radio
-        self._links = LinkEmulator(self.plan, robot, sources, radio=radio is not None)
+        self._links = LinkEmulator(self.plan, robot, sources)
         self._damaged = damaged
         self._routes: dict[tuple[str, type[Message]], _Route] = {}
         self.rejected: Final[Counter[str]] = Counter()
@@ -131,7 +115,7 @@ class Ingress:
             accept, robot, topic = route
             if robot is not None and message.robot != robot:  # type: ignore[union-attr]
                 reason = "wrong_key"
-            elif topic is None or self._links.idle or self._comes(now_ns, key, payload, topic, message):
+            elif topic is None or self._links.idle or self._passes(now_ns, key, payload, topic, message):
                 reason = accept(message, now_ns)
             else:
                 return
@@ -142,10 +126,6 @@ class Ingress:
         """Takes the messages that failing links let through at the tick `now_ns`."""
         if self._links.idle:
             return
-        if self._radio is not None:
-            for key, payload, topic, message in self._radio.heard(now_ns):
-                if self._passes(now_ns, key, payload, topic, message):
-                    self._take(now_ns, key, message)
         for key, payload, whole in self._links.due(now_ns):
             try:
                 message = whole or decode(payload)  # damaged bytes are what the codec must find
@@ -188,18 +168,6 @@ class Ingress:
 
     def _versions(self) -> set[tuple[str, int]]:
         return {(held.message.author, held.message.version) for held in self.plan.live}
-
-    def _comes(self, now_ns: int, key: str, payload: bytes, topic: int, message: Any) -> bool:
-        """As `_passes`, of what comes off the bus: over the radio first, if another robot says it."""
-        radio = self._radio
-        if radio is None or topic not in _ON_AIR:
-            return self._passes(now_ns, key, payload, topic, message)
-        until_ns = radio.hear(now_ns, message.robot, payload, OnAir(key, payload, topic, message))
-        if until_ns == AT_ONCE:
-            return self._passes(now_ns, key, payload, topic, message)
-        if until_ns == DROPPED or until_ns > now_ns:
-            self._links.queued(topic, message, None if until_ns == DROPPED else until_ns)
-        return False
 
     def _passes(self, now_ns: int, key: str, payload: bytes, topic: int, message: Any) -> bool:
         """True when a message that has come is to be delivered at once; else it is lost, or comes later.

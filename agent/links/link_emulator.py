@@ -30,7 +30,6 @@ from agent.messages.types import (
     HELD,
     LOST,
     OVERFLOW,
-    QUEUED,
     RANGE,
     REORDERED,
     TOPICS,
@@ -181,11 +180,8 @@ class LinkEmulator:
     While `idle` is True nothing happens to any message, and none need come here.
     """
 
-    def __init__(
-        self, plan: FaultPlan, robot: int, sources: Mapping[str, Sequence[int]], *, radio: bool = False
-    ) -> None:
-        """`sources`: by topic, the robots whose messages come here. `radio`: they come over a radio, whose
-        decisions are published as well: it is never idle."""
+    def __init__(self, plan: FaultPlan, robot: int, sources: Mapping[str, Sequence[int]]) -> None:
+        """`sources`: by topic, the robots whose messages come here."""
         self.plan: Final = plan
         self.robot: Final = robot
         self._sources = [(TOPICS.index(topic), each) for topic, robots in sources.items() for each in robots]
@@ -199,9 +195,8 @@ class LinkEmulator:
         self._trace_due_ns: int | None = None
         self._trace_sequence = 0
         self._changes = plan.changes
-        self._radio = radio
         self._ruled = self._rule()
-        self.idle = not (self._ruled or radio)
+        self.idle = not self._ruled
 
     def _rule(self) -> bool:
         """Takes over the plan's rules; whether they may do anything to any message."""
@@ -225,7 +220,7 @@ class LinkEmulator:
         if self._changes != self.plan.changes:
             self._changes = self.plan.changes
             self._ruled = self._rule()
-        self.idle = not (self._ruled or self._radio or self._pending or self._holding or self._trace)
+        self.idle = not (self._ruled or self._pending or self._holding or self._trace)
 
     def take(
         self,
@@ -271,15 +266,6 @@ class LinkEmulator:
             self._trace.append(entry)
             self._wait(link, sent_ns + delay_ns, arrival)
         return False
-
-    def queued(self, topic: int, message: Sample, until_ns: int | None) -> None:
-        """Notes that a message waits for the radio until then; None: it was dropped there."""
-        sent = message.robot, topic, message.sequence, message.time_ns
-        if until_ns is None:
-            self._trace.append(Decision(*sent, QUEUED | LOST | OVERFLOW, _LOST_US))
-            return
-        delay_ns = until_ns - self._link(topic, message.robot).sent_ns(message.time_ns)
-        self._trace.append(Decision(*sent, QUEUED, max(0, delay_ns) // 1000))
 
     def _replay(self, link: _Link, delays_us: tuple[int, int], arrival: Arrival) -> bool:
         """Gives a message the fate that it had in another run."""

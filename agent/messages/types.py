@@ -67,7 +67,6 @@ REORDERED: Final = 8
 HELD: Final = 16
 RANGE: Final = 32
 OVERFLOW: Final = 64
-QUEUED: Final = 128
 WHAT_MAX: Final = 2**16 - 1
 EVENTS: Final = ("kill", "start", "stop", "continue")
 """What is done to processes: SIGKILL, started again, SIGSTOP, SIGCONT."""
@@ -624,8 +623,8 @@ class Decision(NamedTuple):
         int,
         About(
             f"Sum of {LOST}: lost, {DUPLICATED}: the second copy, {CORRUPTED}: corrupted, {REORDERED}: "
-            f"reordered, {HELD}: held, {RANGE}: lost to the range channel, {OVERFLOW}: lost to a full queue, "
-            f"{QUEUED}: in the queue of a radio; 0: untouched",
+            f"reordered, {HELD}: held, {RANGE}: lost to the range channel, {OVERFLOW}: lost to a full queue; "
+            "0: untouched",
             least=0,
             most=WHAT_MAX,
         ),

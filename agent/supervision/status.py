@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any, Final
+from typing import Final
 
 from agent.common.named_tuples import new
 from agent.common.time import NS_PER_S
 from agent.control.peers.peer import NEVER, Peer
-from agent.links.radio import Radio
 from agent.messages.types import NeighbourStatus, Status, Total
 from agent.supervision.overload import Overload
 
@@ -35,7 +34,6 @@ class StatusReport:
     Args:
         rejected: messages that were not valid, by reason.
         overload: of its own process.
-        radio: what drops messages on purpose, None where nothing does.
         hz: how often a status is due, 1/s.
 
     Attributes:
@@ -49,11 +47,10 @@ class StatusReport:
         self,
         rejected: Counter[str],
         overload: Overload,
-        radio: Radio[Any] | None = None,
         hz: float = STATUS_HZ,
     ) -> None:
         self._period_ns: Final = round(NS_PER_S / hz)
-        self._rejected, self._overload, self._radio = rejected, overload, radio
+        self._rejected, self._overload = rejected, overload
         self._interventions: Counter[str] = Counter()
         self.ages_us: Final[list[int]] = []
         self.sent_hands = self.corrupted = 0
@@ -128,7 +125,6 @@ class StatusReport:
             "rejected": sum(self._rejected.values()),
             "overruns": self._overruns,
             **({"links.opened_anew": self._links_opened_anew} if self._links_opened_anew else {}),
-            **(self._radio.counted() if self._radio is not None else {}),
             **self._overload.counters(),
             **{f"rejected.{reason}": count for reason, count in sorted(self._rejected.items())},
             **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},

@@ -17,7 +17,6 @@ from deploy.check.bodies import check_motion, check_noise
 from deploy.check.faults import check_faults
 from deploy.check.finding import Finding
 from deploy.check.load.network import check_network
-from deploy.check.load.radio import check_radio
 from deploy.check.loop import check_gains, check_loop, check_lowest_rate, check_saturation
 from deploy.check.orders import check_orders
 from deploy.check.realtime import check_realtime
@@ -53,7 +52,6 @@ def check(fleet: Fleet) -> list[Finding]:
 
             findings += check_own_law(fleet, geometry)
         findings += check_orders(fleet, geometry)
-        findings += check_radio(fleet, geometry)
     findings += check_gains(fleet)
     findings += check_lowest_rate(fleet)
     findings += check_motion(fleet, geometry)

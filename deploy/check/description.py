@@ -64,7 +64,7 @@ def describe(fleet: Fleet) -> str:
     lines.append(f"  topology: {describe_topology(fleet)}")
     lines.append(f"  links: {describe_links(fleet)}")
     lines.append(f"  processor: {describe_cost(fleet)}")
-    lines += [f"  {line}" for line in describe_radio(fleet, geometry)]
+    lines.append(f"  radio: {describe_radio(fleet, geometry)}")
     return "\n".join(lines)
 
 

@@ -18,10 +18,9 @@ from agent.formation.geometry import start_hands
 from agent.impairments.impairments import Delay, Loss
 from agent.links.fault_plan import FaultPlan
 from agent.links.timed_rules import LinkEffects
-from agent.messages.codec import encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import FUTURE_NS_MAX, HEARD_ROUNDS, HandState
+from agent.messages.types import FUTURE_NS_MAX
 from deploy.check.finding import Finding, Level
+from deploy.check.load.radio import hand_bytes
 from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.faults.windows import windows
 from deploy.faults.wording import acts_on_links, words
@@ -397,13 +396,8 @@ def _crowded(fleet: Fleet, each: _Rule) -> Iterator[Finding]:
     if effect is None or not any(link.topic == "hand" for link in each.links):
         return
     degree = max(sum(robot in edge for edge in fleet.formation.edges) for robot in fleet.ids)
-    ids = fleet.ids[:degree]
-    multipliers, heard = tuple((robot, 1.0) for robot in ids), tuple((robot, 20_000) for robot in ids)
-    hand = HandState(fleet.ids[0], FIRST_ROUND, 2**60, True, degree, *(0.1,) * 11, multipliers, ())
-    if any(each.kind.rolls_on_s for each in fleet.robots):
-        hand = hand._replace(obeys=((0.1,) * 3,))
-    with_echo, without = len(encode(hand._replace(heard=heard))), len(encode(hand))
-    size = (with_echo + (HEARD_ROUNDS - 1) * without) / HEARD_ROUNDS
+    ids = set(fleet.ids[:degree])
+    size = hand_bytes(fleet, ids, ids)
     needed = 8.0 * size * fleet.fleet.rate_hz
     least = min(one.bits_per_second for one in _ends(effect))
     if least < needed:

@@ -20,8 +20,6 @@ from agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
 from deploy.console.data_files import ROOT, TEMPLATE
 
 PAGE: Final = ROOT / "docs" / "fleet-file.md"
-_PREFIXED: Final = "`bit`, `bit/s`, `bps` (bytes a second); `k`, `m`, `g`, `ki`, `mi`, `gi` before each"
-"""Suffixes of rates: all of them would fill a line."""
 WIDTH: Final = 110  # of the page's lines, but for the example, which is a file
 
 _HEAD: Final = """\
@@ -176,7 +174,7 @@ def _units() -> str:
     used = set(_units_of(Fleet))
     for name, unit in UNITS.items():
         if name in used:
-            suffixes = _PREFIXED if name == "bit/s" else ", ".join(f"`{suffix}`" for suffix in unit.suffixes)
+            suffixes = ", ".join(f"`{suffix}`" for suffix in unit.suffixes)
             lines.append(f"| {name} | {suffixes} | `{show(unit.example)}` |")
     return "\n".join(lines) + "\n"
 

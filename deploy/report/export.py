@@ -25,7 +25,6 @@ from agent.messages.types import (
     HELD,
     LOST,
     OVERFLOW,
-    QUEUED,
     RANGE,
     REORDERED,
     TOPICS,
@@ -56,7 +55,7 @@ _DTYPES: Final = {int: np.int64, float: np.float64, bool: np.bool_}
 _NAMES: Final = {"value": "multiplier", "doubt": "position_uncertainty"}
 _WHAT: Final = {
     "lost": LOST, "duplicated": DUPLICATED, "corrupted": CORRUPTED, "reordered": REORDERED, "held": HELD,
-    "range": RANGE, "overflow": OVERFLOW, "queued": QUEUED,
+    "range": RANGE, "overflow": OVERFLOW,
 }  # fmt: skip
 _COUNTS: Final = (*MESSAGES, "overruns")
 

@@ -48,7 +48,7 @@ def _total(injected: Mapping[str, Any]) -> str:
     parts = [f"{shown(injected['lost'])} were lost ({100 * (injected['rate'] or 0.0):.1f} %)"]
     for name, said in (
         ("duplicated", "came twice"), ("corrupted", "were damaged"), ("reordered", "overtook others"),
-        ("held", "were held back"), ("queued", "were in the queue of a radio"),
+        ("held", "were held back"),
     ):  # fmt: skip
         if injected[name]:
             parts.append(f"{shown(injected[name])} {said}")

@@ -4,7 +4,7 @@ Decisions are functions of the seed, the link and the message's number and stamp
 (`agent.links.link_emulator`). So a recording proves itself: its fleet file, the live rules that each process
 said it held, and the messages as they were sent give every decision again, by the code that made them. What
 depends on more is not checked:
-queues of a rate limit or an emulated radio (sizes of messages), range channels (where the receiver thought
+queues of a rate limit (sizes of messages), range channels (where the receiver thought
 it was), and slots before a receiver knew the epoch.
 
 A robot listens to the hand states of its neighbours, and of whoever is near it for as long as that is so.
@@ -25,7 +25,7 @@ import numpy as np
 from agent.common.time import NS_PER_S
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
-from agent.messages.types import HELD, OVERFLOW, QUEUED, TOPICS, Faults, Wrench
+from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from deploy.analysis.analysis import Analysis
 from deploy.faults.wording import gives_link_effects
 from deploy.recording.link_table import LinkTable
@@ -288,7 +288,7 @@ def _same(found: _Copies, wanted: _Copies) -> bool:
 
 def _of_more(found: _Copies, wanted: _Copies) -> bool:
     """Whether a queue, or the end of a live hold, may have made the difference."""
-    return any(what & (OVERFLOW | HELD | QUEUED) for what, _ in (*found, *wanted))
+    return any(what & (OVERFLOW | HELD) for what, _ in (*found, *wanted))
 
 
 def _timeline(

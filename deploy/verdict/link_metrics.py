@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.quantities import text
 from agent.fleet.fault_rules import ACTION_FIELDS, Rule
 from agent.formation.points import Floats
 from agent.links.fault_plan import FaultPlan
 from agent.links.timed_rules import link_effects
-from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, QUEUED, RANGE, REORDERED
+from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, mean, number, percentile
 from deploy.console.wording import robots, some
@@ -58,8 +57,7 @@ def injected(rows: LinkTable) -> dict[str, Any]:
     """What was done to messages on purpose.
 
     `decided` messages, of which no copy of `lost` was let through (`rate` is their share; `range` and
-    `overflow` are among them); `queued` of a radio, whether they were lost there or came late; delays of the
-    copies that were let through.
+    `overflow` are among them); delays of the copies that were let through.
     """
     messages, lost = int(rows.first_copies.sum()), int(rows.lost.sum())
     delays_ms = rows.delay_us[rows.delivered] / 1e3
@@ -72,7 +70,6 @@ def injected(rows: LinkTable) -> dict[str, Any]:
         "reordered": rows.count(REORDERED),
         "held": rows.count(HELD),
         "overflow": rows.count(OVERFLOW),
-        "queued": rows.count(QUEUED),
         "range": rows.count(RANGE),
         "delay_ms": {
             "mean": mean(delays_ms),
@@ -137,9 +134,6 @@ class _Asked:
         for name, effects in file.asked():
             rule = rules.get(name)
             parts.append(effects_text(effects) + (f" ({rule.name}, {when(rule)})" if rule else ""))
-        network = self._fleet.network
-        if network.emulate_budget and network.budget is not None and topic == "hand":
-            parts.append(f"a radio of {text(network.budget, 'bit/s')} (network.budget)")
         return "; ".join(parts)
 
     def touched(self, every: Collection[Link]) -> Iterator[tuple[LiveSet | None, Rule, list[Link]]]:

@@ -56,8 +56,6 @@ NAMES: Final = (
     "deaf_links",
     "many",
     "commands",
-    "radio",
-    "radio_queue",
     "event_sending",
 )
 LOAD_QUIET: Final = 0.5

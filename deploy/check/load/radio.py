@@ -1,172 +1,91 @@
-"""Whether what the robots' radios carry fits into `network.budget`, and which rates do (PURE)."""
+"""What the messages of a fleet take of a robot's radio (PURE).
+
+Counted are the bytes that IP carries. What a radio adds below it is not: headers of its frames, contention,
+repeats. The constants were measured on sockets of eclipse-zenoh 1.10.2, plain and with TLS 1.3.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Final
 
-from agent.fleet.hosts import MESH_ROBOTS_MAX
 from agent.fleet.model import Fleet
-from agent.fleet.safety import BEACON_HORIZONS
 from agent.formation.geometry import Geometry
-from agent.messages.types import SILENT_MAX
-from deploy.check.finding import Finding
-from deploy.check.load.radio_load import kbit, worst_load
-from deploy.check.loop import check_loop
+from agent.messages.codec import encode
+from agent.messages.sequence_numbers import FIRST_ROUND
+from agent.messages.types import HEARD_ROUNDS, Beacon, HandState, PlantState, Wrench
+from deploy.check.load.network import beacon_hz, listeners, neighbours
 
-_GOOD_HZ: Final = 10.0
-"""A lower rate than this is not proposed while beacons can be fewer."""
-_BEACON_HZ: Final = (2.0, 1.0, 0.5)
-_BEACON_INTERVALS_S: Final = (2.0, 4.0)
-"""Fewer beacons that are proposed: while something is new, and while nothing is."""
-_PERIODS: Final = 2.5
-"""Timeouts of plant and wrench at a rate at which they would be shorter than the least that is allowed."""
+_NOW_NS: Final = 1_790_000_000_000_000_000
+_PACKET_BYTES: Final = 64
+"""Bytes around a message that travels alone: 12 of Zenoh, 40 of IPv4 and TCP, 12 of TCP's time stamps."""
+_TLS_BYTES: Final = 22
+"""Bytes of a TLS 1.3 record: header 5, type 1, tag 16."""
+_JOINED_BYTES: Final = 5
+"""Bytes around a message that travels in the packet of another."""
+_ACKNOWLEDGED_BYTES: Final = 0.75 * 52
+"""Mean size of the acknowledgement of a packet: three quarters of them are packets of their own."""
 
 
-def describe_radio(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
-    """What the busiest radio carries, in a line; nothing without a budget."""
-    if fleet.network.budget is None:
-        return
-    alone = worst_load(fleet, geometry)
-    watched = worst_load(fleet, geometry, operator=True)
-    yield (
-        f"radio: {alone}, of {kbit(fleet.network.budget)} each way; while an operator listens to all, "
-        f"{watched}" + ("; emulated" if fleet.network.emulate_budget else "")
+def describe_radio(fleet: Fleet, geometry: Geometry) -> str:
+    """Return what the busiest radio carries at the start of the drive, in a line."""
+    robot, sent, received = max(radio_loads(fleet, geometry), key=lambda load: max(load[1:]))
+    operator = 8e-3 * _operator_bytes(fleet)
+    return (
+        f"robot {robot} sends about {sent / 1e3:.3g} kbit/s and receives {received / 1e3:.3g} kbit/s, with "
+        f"all headers; an operator who records adds {operator:.3g} kbit/s to what each robot sends"
     )
 
 
-def check_radio(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
-    """Warns of messages that the budget does not carry, and says which rates fit."""
-    budget = fleet.network.budget
-    if budget is None:
-        return
-    place = "network.budget"
-    alone = worst_load(fleet, geometry)
-    watched = worst_load(fleet, geometry, operator=True)
-    if alone.most > budget:
-        yield Finding(
-            "warning",
-            place,
-            f"{alone} with all headers, where {kbit(budget)} are to do each way: messages will queue, come "
-            f"late and be lost; {_advice(fleet, geometry)}",
-        )
-    elif watched.most > budget:
-        yield Finding(
-            "warning",
-            place,
-            f"{kbit(budget)} each way carry what robots say to each other, but not what an operator who "
-            f"listens to all adds, as `handfast drive` does to record it: {watched}; "
-            f"{_advice(fleet, geometry, operator=True)}",
-        )
-    else:
-        stressed = worst_load(fleet, geometry, silences=True)
-        if stressed.most > budget:
-            yield Finding(
-                "info",
-                place,
-                f"while robots are silent, others' beacons tell of up to {SILENT_MAX} of them: {stressed} "
-                f"then, of {kbit(budget)} each way. A fleet whose radios fall behind may not catch up",
-            )
-    if fleet.network.emulate_budget and any(robot.host is not None for robot in fleet.robots):
-        yield Finding(
-            "warning",
-            "network.emulate_budget",
-            "robots with a host have radios of their own: on these the emulated one comes on top",
-        )
+def radio_loads(fleet: Fleet, geometry: Geometry) -> list[tuple[int, float, float]]:
+    """Return for each robot its number and what it sends and receives in bit/s while nobody is silent.
 
-
-def _advice(fleet: Fleet, geometry: Geometry, *, operator: bool = False) -> str:
-    sets = fitting_rates(fleet, geometry, operator=operator)
-    if sets is None:
-        routed = replace(fleet, network=replace(fleet.network, topology="routed"))
-        if not fleet.is_routed and fitting_rates(routed, geometry, operator=operator) is not None:
-            return "no rate fits in a mesh, where every listener gets a copy of its own: use routers"
-        return "no rate that the law carries fits: take fewer robots or edges, or more budget"
-    text = f"this fits: {_words(fleet, geometry, sets)}"
-    if not operator:
-        watched = fitting_rates(fleet, geometry, operator=True)
-        if watched is not None and watched != sets:
-            text += f"; while an operator listens to all, this: {_words(fleet, geometry, watched)}"
-    return text
-
-
-def _words(fleet: Fleet, geometry: Geometry, sets: Mapping[str, float]) -> str:
-    words = " ".join(f"--set {name}={value:g}" for name, value in sets.items())
-    if len(fleet.robots) > MESH_ROBOTS_MAX:
-        return words  # to look takes seconds; whoever checks it with these is told
-    found = check_loop(with_rates(fleet, sets), geometry)
-    unsound = any(each.place == "fleet.rate_hz" for each in found)
-    return f"{words} (but the law wants a higher rate)" if unsound else words
-
-
-def fitting_rates(fleet: Fleet, geometry: Geometry, *, operator: bool) -> dict[str, float] | None:
-    """Settings with the highest rate (of `_lower_rates`) at which the budget carries everything; None if
-    there is none, or none at which the law is stable (which is looked at in small fleets).
-
-    Beacons become fewer where the rate would have to be below `_GOOD_HZ` otherwise.
+    The robots stand where they start, where more of them listen to each other than at their places.
     """
-    budget = fleet.network.budget
-    assert budget is not None
-    best: dict[str, float] | None = None
-    enough = min(_GOOD_HZ, fleet.fleet.rate_hz)
-    for beacons in _fewer_beacons(fleet):
-        # Not by halving: at low rates robots brake later, so they listen to each other from further away.
-        for rate in _lower_rates(fleet.fleet.rate_hz):
-            if best is not None and rate <= best["fleet.rate_hz"]:
-                break
-            sets = _settings(fleet, rate, beacons)
-            if worst_load(with_rates(fleet, sets), geometry, operator=operator).most <= budget:
-                if not _is_unstable(fleet, geometry, sets):
-                    best = sets
-                break
-        if best is not None and best["fleet.rate_hz"] >= enough:
-            break
-    return best
+    rate, beacons = fleet.fleet.rate_hz, beacon_hz(fleet)
+    near, joined = listeners(fleet, geometry, at_start=True), neighbours(fleet, geometry)
+    headers = _PACKET_BYTES + (_TLS_BYTES if fleet.is_secured else 0)
+    hands = {robot: hand_bytes(fleet, joined[robot], near[robot]) + headers for robot in fleet.ids}
+    orders = (_NOW_NS, 2**31, -1, -1)
+    beacon = len(encode(Beacon(fleet.ids[0], FIRST_ROUND, _NOW_NS, True, *(0.1,) * 5, *orders)))
+    others = len(fleet.ids) - 1
+    loads = []
+    for robot, heard in near.items():
+        far = others - len(heard)
+        # A beacon travels with the hand state of its tick to those who listen to both.
+        received = rate * sum(hands[other] for other in heard)
+        received += beacons * (len(heard) * (beacon + _JOINED_BYTES) + far * (beacon + headers))
+        packets_received = rate * len(heard) + beacons * far
+        most = 1 if fleet.is_routed else others
+        copies, all_copies = min(most, len(heard)), min(most, others)
+        sent = rate * copies * hands[robot]
+        sent += beacons * (copies * (beacon + _JOINED_BYTES) + (all_copies - copies) * (beacon + headers))
+        packets_sent = rate * copies + beacons * (all_copies - copies)
+        sent += packets_received * _ACKNOWLEDGED_BYTES
+        received += packets_sent * _ACKNOWLEDGED_BYTES
+        loads.append((robot, 8.0 * sent, 8.0 * received))
+    return loads
 
 
-def _is_unstable(fleet: Fleet, geometry: Geometry, sets: Mapping[str, float]) -> bool:
-    """Whether the law is; not looked at in a large fleet, where that takes seconds."""
-    if len(fleet.robots) > MESH_ROBOTS_MAX:
-        return False
-    found = check_loop(with_rates(fleet, sets), geometry)
-    return any(each.place == "fleet.rate_hz" and each.level == "error" for each in found)
+def hand_bytes(fleet: Fleet, joined: set[int], near: set[int]) -> float:
+    """Return the mean size of a hand state, without headers.
+
+    Args:
+        joined: robots at the other ends of the sender's edges.
+        near: robots that the sender hears; it echoes their stamps once in `HEARD_ROUNDS`.
+    """
+    multipliers, heard = tuple((other, 0.1) for other in joined), tuple((other, 20_000) for other in near)
+    hand = HandState(fleet.ids[0], FIRST_ROUND, _NOW_NS, True, len(joined), *(0.1,) * 11, multipliers, ())
+    if any(robot.kind.rolls_on_s for robot in fleet.robots):
+        hand = hand._replace(obeys=((0.1,) * 3,))
+    with_echo, without = len(encode(hand._replace(heard=heard))), len(encode(hand))
+    return (with_echo + (HEARD_ROUNDS - 1) * without) / HEARD_ROUNDS
 
 
-def _fewer_beacons(fleet: Fleet) -> Iterator[dict[str, float]]:
-    """Settings for fewer and fewer beacons, the first for as many as there are."""
-    yield {}
-    rate, longest_s = "avoidance.beacon_hz", "avoidance.beacon_interval_max_s"
-    now_s = fleet.beacon_rounds_max * fleet.period_ns / 1e9
-    most_s = BEACON_HORIZONS * fleet.control.prediction_horizon_s
-    intervals = [each for each in _BEACON_INTERVALS_S if now_s < each <= most_s]
-    yield from ({longest_s: each} for each in intervals)
-    for hz in _BEACON_HZ:
-        if hz < fleet.avoidance.beacon_hz:
-            yield {rate: hz}
-            yield from ({rate: hz, longest_s: each} for each in intervals[-1:] if each >= 1.0 / hz)
-
-
-def _lower_rates(rate_hz: float) -> Iterator[int]:
-    """Rates to try, the highest first: in steps of about a twentieth, whole numbers."""
-    rate = int(rate_hz)
-    while rate >= 1:
-        yield rate
-        rate -= max(1, rate // 20)
-
-
-def _settings(fleet: Fleet, rate_hz: float, beacons: Mapping[str, float]) -> dict[str, float]:
-    """What has to be set for a rate, with these settings of beacons."""
-    sets = {"fleet.rate_hz": rate_hz, **beacons}
-    for name in ("plant_timeout_s", "wrench_timeout_s", "prediction_horizon_s"):
-        if getattr(fleet.control, name) < 2.0 / rate_hz:
-            sets[f"control.{name}"] = _PERIODS / rate_hz
-    return sets
-
-
-def with_rates(fleet: Fleet, sets: Mapping[str, float]) -> Fleet:
-    """The fleet with numbers of its tables set, by TABLE.FIELD."""
-    for name, value in sets.items():
-        table, _, attribute = name.partition(".")
-        fleet = replace(fleet, **{table: replace(getattr(fleet, table), **{attribute: value})})
-    return fleet
+def _operator_bytes(fleet: Fleet) -> float:
+    """Bytes a second that an operator who listens to everything adds to what a robot sends, at most."""
+    robot = fleet.ids[0]
+    hand = 0.0 if fleet.is_routed else hand_bytes(fleet, set(), set(fleet.ids))
+    wrench = len(encode(Wrench(robot, FIRST_ROUND, _NOW_NS, 0.1, 0.1, False, (_NOW_NS, _NOW_NS))))
+    state = len(encode(PlantState(robot, FIRST_ROUND, _NOW_NS, *(0.1,) * 7, True, True, True, "", ())))
+    headers = _PACKET_BYTES + (_TLS_BYTES if fleet.is_secured else 0)
+    return fleet.fleet.rate_hz * (hand + wrench + state + 2 * headers)

@@ -229,19 +229,6 @@ def test_a_field_of_a_host_can_be_overridden_by_its_name():
             RIGHT,
             "network.topology: is a mesh, which has no routers: leave out topology or routers",
         ),
-        (
-            HOSTS + "[network]\nemulate_budget = true",
-            LEFT,
-            RIGHT,
-            'network.budget: is missing: emulate_budget needs one, such as "250 kbit/s"',
-        ),
-        (
-            HOSTS + '[network]\nbudget = "10 bit/s"',
-            LEFT,
-            RIGHT,
-            "network.budget: must be between 1000 and 1000000000000 bit/s",
-        ),
-        (HOSTS + '[network]\nbudget = "10 km"', LEFT, RIGHT, "network.budget: must be a number (bit/s) or"),
         (HOSTS + ROUTERS % "b:40000", LEFT, RIGHT, "network.routers[1]: port 40000 must be at most 32767"),
         (
             "[host]\nleft = 3",

@@ -15,7 +15,7 @@ import tomli_w
 
 from agent.fleet.loading import FILE_BYTES_MAX, digest, law_name, load_fleet, parse_fleet, to_dict
 from agent.fleet.model import FleetError
-from agent.fleet.sections import LAWS, ControlSection
+from agent.fleet.sections import LAWS, REPLACED, ControlSection
 from deploy.check import fleet_reference
 from deploy.console.data_files import FLEETS, TEMPLATE
 from tests.unit.agent.fleet.fleet_texts import MIXED, SMALL, problems, small
@@ -454,3 +454,17 @@ def test_control_characters_are_refused_wherever_a_text_is_free(control: str) ->
         (found,) = [problem for problem in caught.value.problems if problem.place == place]
         assert found.message.isprintable()
         assert "control characters" in found.message or "must be" in found.message
+
+
+@pytest.mark.parametrize("name", REPLACED)
+def test_removed_field_says_what_replaced_it(name: str) -> None:
+    table, _, field = name.rpartition(".")
+    why = f"is no field any more: {REPLACED[name]}"
+    with pytest.raises(FleetError) as caught:
+        small(f"{name}=1".replace("robot.", "robot.3.", 1))
+    assert [problem.message for problem in caught.value.problems] == [why]
+    if table == "robot" or table.startswith("faults"):
+        return
+    with pytest.raises(FleetError) as caught:
+        parse_fleet(SMALL + f"\n[{table}]\n{field} = 1\n", source="small")
+    assert why in [problem.message for problem in caught.value.problems]

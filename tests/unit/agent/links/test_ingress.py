@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from agent.common.time import NS_PER_S
 from agent.links.ingress import Ingress
-from agent.links.radio import Radio
-from agent.links.wire_size import carried_bytes
 from agent.messages.codec import decode, encode
-from agent.messages.types import LOST, OVERFLOW, QUEUED, Faults, HandState, LinkTrace, Stop
+from agent.messages.types import Faults, HandState, LinkTrace, Stop
 from agent.messages.validation import Malformed
 from tests.unit.agent.links.test_fault_plan import CUT, NOW, PERIOD, fleet, live
 
@@ -124,67 +122,3 @@ def test_a_message_from_the_future_does_not_keep_the_queue_from_others() -> None
     assert taker.heard == [0]
     taker.ingress.arrive(NOW + NS_PER_S)
     assert taker.heard == [0, 1]
-
-
-# --- over a radio ---------------------------------------------------------------------------------
-
-
-class OverRadio(Taker):
-    """As `Taker`, over a radio that takes more than a period for a hand state."""
-
-    def __init__(self, faults: str = "") -> None:
-        super().__init__(faults)
-        self.there = fleet(faults, "network.budget=70000", "network.emulate_budget=true")
-        self.ingress = Ingress(self.there, 2, "agent", {"hand": (1,)}, self._damage, Radio(self.there, 2))
-        self.ingress.on("hand", HandState, self._accept, robot=1, topic="hand")
-
-    def tick(self, now_ns: int, *sequences: int) -> list[tuple[int, int, int]]:
-        """A tick with messages that came since the last, each from one period ago; what is said of them."""
-        for sequence in sequences:
-            self.ingress.receive(now_ns, "hand", hand(sequence, now_ns - PERIOD))
-        self.ingress.arrive(now_ns)
-        traces = [decode(payload) for _, payload in self.ingress.outgoing(now_ns, flush=True)]
-        entries = [entry for trace in traces if isinstance(trace, LinkTrace) for entry in trace.entries]
-        return [(entry.sequence, entry.what, entry.delay_us) for entry in entries]
-
-
-def test_what_waits_for_the_radio_comes_at_a_later_tick_and_is_said() -> None:
-    taker = OverRadio()
-    size = carried_bytes(len(hand(7, NOW)), secured=False)
-    once_us = int(size * 8e6 / 70_000)
-    assert PERIOD < 1000 * once_us < 2 * PERIOD
-    assert taker.tick(NOW, 7) == [(7, QUEUED, once_us)]
-    assert taker.heard == []
-    assert taker.tick(NOW + PERIOD) == []
-    assert taker.heard == [7]
-    taker.tick(NOW + 8 * PERIOD)
-    # The radio is free by then: of what comes in one tick one waits for the other.
-    (_, _, first_us), (_, _, second_us) = taker.tick(NOW + 9 * PERIOD, 16, 17)
-    assert first_us == once_us
-    assert first_us < second_us < 2 * once_us, "the second has no headers of its own"
-    assert taker.tick(NOW + 10 * PERIOD) == []
-    assert taker.tick(NOW + 11 * PERIOD) == []
-    assert taker.heard == [7, 16, 17]
-
-
-def test_what_the_radio_drops_is_said_and_does_not_come() -> None:
-    taker = OverRadio()
-    said = taker.tick(NOW, *range(400))
-    lost = [
-        sequence for sequence, what, delay_us in said if what == QUEUED | LOST | OVERFLOW and delay_us == -1
-    ]
-    assert len(said) == 400
-    assert 300 < len(lost) < 400
-    for turn in range(1, 60):
-        taker.tick(NOW + turn * PERIOD)
-    assert taker.heard == [sequence for sequence in range(400) if sequence not in lost]
-
-
-def test_fault_rules_have_what_the_radio_has_let_through() -> None:
-    taker = OverRadio(CUT.replace('loss = "100%"', 'delay = "80ms"'))
-    said = taker.tick(NOW, 7)
-    for turn in range(1, 5):
-        said += taker.tick(NOW + turn * PERIOD)
-    assert [(sequence, what) for sequence, what, _ in said] == [(7, QUEUED), (7, 0)]
-    assert said[1][2] == 80_000, "counted from the stamp, not from when the radio has let it through"
-    assert taker.heard == [7]

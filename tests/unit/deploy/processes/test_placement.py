@@ -85,14 +85,6 @@ def test_a_routed_fleet_has_as_many_routers_here_as_its_file_names(sets: list[st
     assert parse_fleet(tomli_w.dumps(to_dict(placed)), source="placed").is_routed == (routers > 0)
 
 
-def test_radios_carry_here_what_the_file_says() -> None:
-    sets = ["network.budget=50kbit", "network.emulate_budget=true", "network.budget_queue_s=0.2"]
-    placed, taken, _ = place(load_fleet(FLEETS / "delta.toml", sets))
-    taken.close()
-    assert placed.network.emulate_budget
-    assert (placed.network.budget, placed.network.budget_queue_s) == (50e3, 0.2)
-
-
 def test_links_may_take_as_long_here_as_the_file_says() -> None:
     placed, taken, _ = place(load_fleet(FLEETS / "pair.toml", ["network.link_timeout_s=2.5"]))
     taken.close()

@@ -1,142 +1,68 @@
-"""What `check` says of a radio's budget, and that what it proposes fits."""
+"""What `check` says of the messages that a radio carries, against the bytes of a simulated drive."""
 
 from __future__ import annotations
 
-import shlex
-from typing import Final
+from collections import Counter
 
 import pytest
 
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from deploy.analysis.lattice import lattice
-from deploy.check.check import check
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import load_fleet
+from agent.formation.geometry import resolve, resolved
+from agent.messages import key_expressions
 from deploy.check.description import describe
-from deploy.check.finding import Finding
-from deploy.check.load.radio import check_radio, fitting_rates, with_rates
-from deploy.check.load.radio_load import worst_load
+from deploy.check.load.network import beacon_hz, listeners, neighbours
+from deploy.check.load.radio import hand_bytes, radio_loads
 from deploy.console.data_files import FLEETS
-
-PLACE: Final = "network.budget"
-
-
-def fleet(*sets: str, name: str = "delta") -> Fleet:
-    return load_fleet(FLEETS / f"{name}.toml", ["fleet.rate_hz=20", *sets])
+from deploy.simulate.simulation import Simulation
 
 
-def found(there: Fleet) -> list[Finding]:
-    return list(check_radio(there, resolve(there)))
-
-
-def proposed(finding: Finding, operator: bool = False) -> list[str]:
-    """The overrides that a finding says, as a shell has them."""
-    text = finding.message.split("this fits: ")[1]
-    alone, _, watched = text.partition("; while an operator listens to all, this: ")
-    words = shlex.split((watched if operator else alone).partition(" (but")[0])
-    assert words[::2] == ["--set"] * len(words[::2])
-    return words[1::2]
-
-
-def test_without_a_budget_nothing_is_said() -> None:
-    assert found(fleet()) == []
-    assert "radio:" not in describe(fleet())
-
-
-def test_enough_is_said_in_a_line() -> None:
-    there = fleet('network.budget="1 Mbit/s"')
-    assert found(there) == []
-    (line,) = (line for line in describe(there).splitlines() if "radio:" in line)
+def test_description_names_the_busiest_radio() -> None:
+    (line,) = (line for line in describe(load_fleet(FLEETS / "delta.toml")).splitlines() if "radio:" in line)
     assert line.startswith("  radio: robot ")
-    assert "of 1 Mbit/s each way; while an operator listens to all, robot" in line
-    assert describe(fleet('network.budget="1 Mbit/s"', "network.emulate_budget=true")).count("emulated") == 1
+    assert "kbit/s" in line
 
 
-@pytest.mark.parametrize("budget", [150, 100, 60])
-@pytest.mark.parametrize("operator", [False, True])
-def test_too_little_is_warned_of_and_the_line_to_copy_fits(budget: int, operator: bool) -> None:
-    sets = f"network.budget={1000 * budget}"
-    (finding,) = found(fleet(sets))
-    assert (finding.level, finding.place) == ("warning", PLACE)
-    assert f"where {budget} kbit/s are to do each way" in finding.message
-    there = fleet(sets, *proposed(finding, operator))
-    assert worst_load(there, resolve(there), operator=operator).most <= 1000 * budget
-    rate = there.fleet.rate_hz
-    faster = fleet(
-        sets,
-        *(f"fleet.rate_hz={rate + 1}" if "rate_hz" in each else each for each in proposed(finding, operator)),
+def test_in_a_pair_both_robots_send_what_the_other_receives() -> None:
+    fleet = load_fleet(FLEETS / "pair.toml", ["fleet.rate_hz=20"])
+    (_, up, down), (_, other_up, other_down) = radio_loads(fleet, resolve(fleet))
+    assert (up, down) == pytest.approx((other_down, other_up))
+    hand = hand_bytes(fleet, {2}, {2})
+    # A hand state with its headers and an acknowledgement each tick, and a beacon now and then.
+    assert 8 * 20 * (hand + 64 + 39) < up < 8 * (20 * (hand + 64 + 39) + beacon_hz(fleet) * 150)
+    secured = load_fleet(FLEETS / "pair.toml", ["fleet.rate_hz=20", 'network.security="mtls"'])
+    assert radio_loads(secured, resolve(secured))[0][1] == pytest.approx(up + 8 * 20 * 22)
+
+
+def test_a_router_takes_one_copy_where_a_mesh_takes_one_for_each_listener() -> None:
+    mesh, routed = (
+        load_fleet(FLEETS / "delta.toml", [f'network.topology="{topology}"'])
+        for topology in ("mesh", "routed")
     )
-    assert worst_load(faster, resolve(faster), operator=operator).most > 1000 * budget, "the highest rate"
+    for (_, up, down), (_, routed_up, routed_down) in zip(
+        radio_loads(mesh, resolve(mesh)), radio_loads(routed, resolve(routed)), strict=True
+    ):
+        assert routed_up < 0.7 * up
+        assert routed_down < down, "it acknowledges fewer packets"
 
 
-def test_enough_for_robots_but_not_for_an_operator_is_warned_of() -> None:
-    needed, watched = (worst_load(fleet(), resolve(fleet()), operator=each).most for each in (False, True))
-    sets = f"network.budget={(needed + watched) / 2}"
-    (finding,) = found(fleet(sets))
-    assert finding.level == "warning"
-    assert "but not what an operator who listens to all adds" in finding.message
-    there = fleet(sets, *proposed(finding))
-    assert [each for each in found(there) if each.level == "warning"] == []
+@pytest.mark.parametrize("name", ["delta", "rovers"])
+def test_hand_states_are_as_large_as_those_of_a_drive(name: str) -> None:
+    fleet = resolved(load_fleet(FLEETS / f"{name}.toml", ["fleet.duration_s=5"]))
+    geometry = resolve(fleet)
+    total: Counter[str] = Counter()
+    count: Counter[str] = Counter()
 
+    def sink(time_ns: int, key: str, payload: bytes) -> None:
+        if time_ns > 3 * NS_PER_S:
+            total[key] += len(payload)
+            count[key] += 1
 
-def test_a_fleet_that_would_not_catch_up_is_told_of() -> None:
-    there = load_fleet(FLEETS / "lattice45.toml", ["network.budget=1000000"])
-    (finding,) = found(there)
-    assert (finding.level, finding.place) == ("info", PLACE)
-    assert "beacons tell of up to 16 of them" in finding.message
-
-
-def test_a_low_rate_has_longer_timeouts_and_is_said_to_be_low() -> None:
-    (finding,) = found(fleet("network.budget=30000"))
-    there = fleet("network.budget=30000", *proposed(finding))  # it is valid
-    assert there.control.plant_timeout_s >= 2.0 / there.fleet.rate_hz
-    assert "(but the law wants a higher rate)" in finding.message
-
-
-def test_where_no_rate_fits_it_says_what_might() -> None:
-    """Also where one would at which the law is not stable."""
-    for budget in (3000, 20000):
-        (finding,) = found(fleet(f"network.budget={budget}"))
-        assert finding.message.endswith(
-            "no rate that the law carries fits: take fewer robots or edges, or more budget"
+    Simulation(fleet, sink).run(lambda _: True)
+    joined, near = neighbours(fleet, geometry), listeners(fleet, geometry)
+    for robot in fleet.ids:
+        key = key_expressions.hand(fleet.fleet.name, robot)
+        # Stamps of virtual time begin at 0 and are shorter.
+        assert total[key] / count[key] == pytest.approx(
+            hand_bytes(fleet, joined[robot], near[robot]), rel=0.2
         )
-
-
-@pytest.mark.slow
-def test_where_a_mesh_never_fits_routers_are_proposed() -> None:
-    # Signs of life on forty idle links take more than all that is said.
-    sets = ("avoidance.sensing_m=1.2", "network.budget=60000")
-    there = fleet(*sets, 'network.topology="mesh"', name="lattice45")
-    assert fitting_rates(there, resolve(there), operator=False) is None
-    routed = fleet(*sets, 'network.topology="routed"', name="lattice45")
-    assert fitting_rates(routed, resolve(routed), operator=False) is not None
-    assert found(there)[0].message.endswith("every listener gets a copy of its own: use routers")
-
-
-def test_fewer_beacons_are_proposed_before_a_rate_that_is_low() -> None:
-    there = load_fleet(
-        FLEETS / "lattice45.toml", ["network.budget=200000", "avoidance.beacon_interval_max_s=0.9"]
-    )
-    sets = fitting_rates(there, resolve(there), operator=False)
-    assert sets is not None
-    assert sets["fleet.rate_hz"] >= 10
-    assert sets["avoidance.beacon_interval_max_s"] == 2.0
-
-
-def test_a_large_fleet_is_proposed_a_longer_interval_between_beacons() -> None:
-    """At 5 Hz 103 kbit/s were too much, and no fewer beacons a second than one are said where all is new."""
-    there = parse_fleet(lattice("many", 45, rate_hz=10.0), source="here", overrides=["network.budget=100000"])
-    sets = fitting_rates(there, resolve(there), operator=False)
-    assert sets == {"fleet.rate_hz": 5, "avoidance.beacon_interval_max_s": 4.0}
-    assert worst_load(with_rates(there, sets), resolve(there)).most <= 100_000
-
-
-def test_robots_with_radios_of_their_own_are_warned_of_an_emulated_one() -> None:
-    hosts = ("host={ a = {}, b = {} }", 'robot.1.host="a"', 'robot.2.host="b"')
-    sets = ("network.budget=10000000", "network.emulate_budget=true", *hosts)
-    (finding,) = found(fleet(*sets, name="pair"))
-    assert (finding.level, finding.place) == ("warning", "network.emulate_budget")
-
-
-def test_check_looks_at_it() -> None:
-    assert PLACE in {each.place for each in check(fleet("network.budget=50000"))}
