@@ -18,7 +18,7 @@ from deploy.console.sources import sources_digest
 
 LIBRARIES: Final = ("numpy", "msgpack", "pymap3d")
 """Others' packages that have a part in the numbers and bytes of a run."""
-NEEDED: Final = ("cryptography", "mcap", "orjson", "pymavlink", "tomli_w", "zenoh", "zstandard")
+NEEDED: Final = ("cryptography", "mcap", "orjson", "pymavlink", "tomli_w", "zenoh")
 """Others' packages that a run may import besides, in any version: as they are imported."""
 SOURCES: Final = "sources"
 CHANGED: Final = "changed since it started"

@@ -1,7 +1,6 @@
 """Reading a run's MCAP file, whole, cut short or damaged.
 
-Not through `mcap.reader`: that one wants the index at the end of the file, which a killed run never
-wrote, and parses messages one by one, which takes ten times as long.
+All messages of a channel in a chunk go through one call of the JSON parser, which halves the time.
 """
 
 from __future__ import annotations
@@ -10,24 +9,23 @@ import json
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from io import BytesIO
 from math import inf
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
 import orjson
-from mcap.data_stream import ReadDataStream
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
-from agent.messages.types import CLASSES, Message
+from agent.messages.types import CLASSES
+from agent.messages.types import Message as BusMessage
 from deploy.recording.collector import RunData
-from deploy.recording.mcap_records import Lost, Records, records_in
-from deploy.recording.mcap_writer import MAGIC, PREFIX
+from deploy.recording.mcap_records import MAGIC, Lost, Records, parsed, records_in
 from deploy.recording.message_json import reader, schema_name
 from deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
 from deploy.recording.recording import Damage, Recording
@@ -50,9 +48,9 @@ class _File:
         self._unknown = 0
         """Messages of which it is not known what they are."""
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, tuple[str, Callable[[dict[str, Any]], Message]] | None] = {}
+        self._channels: dict[int, tuple[str, Callable[[dict[str, Any]], BusMessage]] | None] = {}
 
-    def read(self) -> Iterator[tuple[int, str, Message]]:
+    def read(self) -> Iterator[tuple[int, str, BusMessage]]:
         """(reception time ns, key, message) of every message of ours, chunk by chunk, channel by channel."""
         try:
             with open(self.path, "rb") as stream:
@@ -60,8 +58,8 @@ class _File:
                 magic = stream.seek(0) or stream.read(len(MAGIC))
                 if not magic:
                     raise RecordingError(f"{self.path} is empty; a recording of handfast (MCAP) was expected")
-                for opcode, content in records:
-                    yield from self._record(opcode, content)
+                for record in records:
+                    yield from self._record(record)
         except OSError as error:
             raise RecordingError(f"cannot read {self.path}: {error.strerror or error}") from error
         if magic != MAGIC and not records.damaged:
@@ -109,20 +107,21 @@ class _File:
             for since_ns, until_ns in lost
         ]
 
-    def _record(self, opcode: int, content: bytes) -> Iterator[tuple[int, str, Message]]:
-        if opcode == Opcode.CHUNK:
-            yield from self._inside(content)
-        elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):  # a file without chunks
-            yield from self._inside(PREFIX.pack(opcode, len(content)) + content)
-        elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(_stream(content))
-            self.metadata[metadata.name] = metadata.metadata
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(_stream(content))
-            if attachment.name == FLEET_FILE:
-                self.fleet_toml = attachment.data.decode(errors="replace")
+    def _record(self, record: McapRecord) -> Iterator[tuple[int, str, BusMessage]]:
+        if isinstance(record, Chunk):
+            yield from self._inside(record.data)
+        elif isinstance(record, Message):  # a file without chunks
+            builder = RecordBuilder()
+            record.write(builder)
+            yield from self._inside(builder.end())
+        elif isinstance(record, Metadata):
+            self.metadata[record.name] = record.metadata
+        elif isinstance(record, Attachment) and record.name == FLEET_FILE:
+            self.fleet_toml = record.data.decode(errors="replace")
+        else:
+            self._define(record)
 
-    def _inside(self, data: bytes) -> Iterator[tuple[int, str, Message]]:
+    def _inside(self, data: bytes) -> Iterator[tuple[int, str, BusMessage]]:
         times: dict[int, list[int]] = {}
         texts: dict[int, list[bytes]] = {}
         for opcode, content in records_in(data):
@@ -134,7 +133,7 @@ class _File:
                     times.setdefault(channel, []).append(log_ns)
                     texts.setdefault(channel, []).append(content[_MESSAGE.size :])
             else:
-                self._define(opcode, content)
+                self._define(parsed(opcode, content))
         for channel, log_times in times.items():
             entry = self._channels[channel]
             assert entry is not None
@@ -156,17 +155,17 @@ class _File:
     def _look_up(self, channel: int) -> None:
         """Finds at the file's end what a channel is that was introduced in a damaged part."""
         assert self._records is not None
-        for opcode, content in self._records.summary.records:
-            self._define(opcode, content)
+        if summary := self._records.summary:
+            for record in (*summary.schemas.values(), *summary.channels.values()):
+                self._define(record)
         self._unknown += channel not in self._channels
 
-    def _define(self, opcode: int, content: bytes) -> None:
+    def _define(self, record: McapRecord) -> None:
         """Takes a schema or a channel."""
-        if opcode == Opcode.SCHEMA:
-            found = Schema.read(_stream(content))
-            self._schemas[found.id] = found.name
-        elif opcode == Opcode.CHANNEL:
-            self._add_channel(Channel.read(_stream(content)))
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            self._add_channel(record)
 
     def _add_channel(self, channel: Channel) -> None:
         if channel.schema_id not in self._schemas and self.is_damaged:
@@ -175,10 +174,6 @@ class _File:
         # Raw payloads (no schema), what is derived and schemas of a later version are not ours to read.
         known = channel.message_encoding == "json" and name in _READERS
         self._channels[channel.id] = (channel.topic, _READERS[name]) if known else None
-
-
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(content))
 
 
 def _span(lost: Lost, begun_ns: int) -> str:

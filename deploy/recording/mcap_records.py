@@ -1,8 +1,9 @@
-"""The records of an MCAP file, past what is damaged in it.
+"""The sound records of an MCAP file that may be cut short or damaged.
 
-A chunk whose content does not fit its checksum is left out. Where no record begins that makes sense, the next
-one is searched for: a chunk, metadata, or the end of the data. What the chunks held that are lost is known
-from the index at the end of the file, where there is one, else from the chunks before and after them.
+The `mcap` library reads a file up to its first damaged byte. This module leaves out what is damaged: a chunk
+whose content does not match its checksum, and any bytes that are no record. It goes on at the next chunk,
+metadata or end of data. The times of lost messages come from the index at the end of the file; without an
+index they come from the chunks before and after the damage.
 """
 
 from __future__ import annotations
@@ -10,22 +11,38 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from typing import IO, Any, Final, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Footer, Header, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Metadata,
+    Schema,
+)
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
 
-from deploy.recording.mcap_writer import MAGIC, PREFIX
-
+MAGIC: Final[bytes] = MCAP0_MAGIC
+PREFIX: Final = struct.Struct("<BQ")
+"""Beginning of a record: opcode, length of its content."""
 RECORD_BYTES_MAX: Final = 1 << 30
 _FOOTER_BYTES: Final = PREFIX.size + 20
 _CHUNK_BYTES: Final = 40
-"""A chunk's record without its data and the name of the compression."""
+"""Length of a chunk's record without its data and the name of the compression."""
 _BLOCK_BYTES: Final = 1 << 20
 _MARK_BYTES: Final = 80
 _MARK: Final = re.compile(
@@ -34,26 +51,29 @@ _MARK: Final = re.compile(
     rb"|\x0f(?=\x04\0\0\0\0\0\0\0)",
     re.DOTALL,
 )
-"""How a chunk, metadata of ours and the end of the data begin; what follows may be another beginning."""
-_PARSERS: Final[Mapping[int, Any]] = {
+"""Beginnings of a chunk, of our metadata and of the end of the data."""
+_CLASSES: Final[Mapping[int, Any]] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
+    Opcode.CHUNK: Chunk,
     Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.DATA_END: DataEnd,
 }
-_WITHOUT_MESSAGES: Final = (*_PARSERS, Opcode.ATTACHMENT, Opcode.MESSAGE_INDEX, Opcode.DATA_END)
-_PRIVATE: Final = 0x80
-"""From here on opcodes are anybody's."""
+_WITHOUT_MESSAGES: Final = (*_CLASSES.keys() - {Opcode.CHUNK}, Opcode.MESSAGE_INDEX)
+_ERRORS: Final = (McapError, ValueError, struct.error, RuntimeError, MemoryError, OverflowError)
+"""Exceptions of the library for damaged input; those of its decompressors come on top (`unpacked`)."""
 
 
 class Damaged(Exception):
-    """What was read makes no sense."""
+    """The bytes read are no sound record."""
 
 
 class Lost(NamedTuple):
-    """A part of the file that is lost: when the first of its messages came (ns), and when the last one.
+    """A part of the file that is lost: log times (ns) of its first and last message.
 
-    None where nothing is known of that: it is at the beginning, or at the end.
+    None where the time is unknown: the part is at the beginning or at the end.
     """
 
     since_ns: int | None
@@ -61,183 +81,167 @@ class Lost(NamedTuple):
 
 
 class Records:
-    """The records of a file up to its end, or as far as it goes.
+    """The sound records of a file's data section, in order. Iterate once.
 
     Args:
-        stream: of the file, at its beginning.
+        stream: the file, seekable.
+        wants: False for a chunk that need not be unpacked. Such a chunk is not checked either.
 
     Attributes:
-        damaged: whether anything has been left out until now.
-        lost: the messages that were, once all has been read.
-        ends: whether all of its data was read, to their end.
-        is_whole: whether what follows the data is all there, too.
+        damaged: True once anything has been left out.
+        lost: the lost parts, complete when the iteration has ended.
+        ends: True if the data was read to its end.
+        is_whole: True if the end of the data and the summary after it are there and sound.
     """
 
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
+    def __init__(self, stream: IO[bytes], wants: Callable[[Chunk], bool] = lambda chunk: True) -> None:
+        self._stream, self._wants = stream, wants
         self._size = stream.seek(0, 2)
         self.lost: list[Lost] = []
         self.damaged = self.ends = self.is_whole = False
-        self._open: list[tuple[int, int, Lost]] = []
-        """Damaged parts after which no sound chunk has come yet: from where to where, and what they held."""
+        self._open: list[Lost] = []
+        """Damaged parts since the last sound chunk, with the times that they claim."""
         self._last_ns: int | None = None
-        self._summary: _Summary | None = None
+        self._sound: set[int] = set()
+        """Offsets of the sound chunks."""
+        self.summary: Final = self._read_summary()
+        """The summary at the end of the file; None where it is missing or damaged."""
 
-    def __iter__(self) -> Iterator[tuple[int, bytes]]:
-        """(opcode, content) of every sound record of the data; of a chunk its records, decompressed."""
-        at: int | None = 0
-        if self._read(0, len(MAGIC)) == MAGIC:
-            at = len(MAGIC)
-        elif (at := self._next(0)) is not None:
-            self._leave_out(0, at)
-        while at is not None:
+    def __iter__(self) -> Iterator[McapRecord]:
+        """Header, schemas, channels, messages, metadata, attachments, and chunks with their data unpacked."""
+        at: int | None = len(MAGIC)
+        if self._read(0, len(MAGIC)) != MAGIC:
+            at = self._next(0)
+            if at is not None:
+                self._leave_out(Lost(None, None))
+        ended = False
+        while at is not None and not ended:
             try:
-                opcode, content = self._record(at)
+                record, after = self._record(at)
+                if isinstance(record, Chunk) and self._wants(record):
+                    record.data, record.compression = unpacked(record), ""
             except Damaged:
                 at = self._past(at)
                 continue
-            after = at + PREFIX.size + len(content)
-            if opcode == Opcode.CHUNK:
-                chunk = Chunk.read(_stream(content))
-                try:
-                    data = _decompressed(chunk)
-                except Damaged:
-                    at = self._past_chunk(at, after, chunk)
-                    continue
-                self._settle(chunk.message_start_time)
-                yield opcode, data
-                self._last_ns = max(self._last_ns or 0, chunk.message_end_time)
-            elif opcode == Opcode.DATA_END:
-                self.ends, at = True, None
-                self._settle(None)
-                self._check_end(after)
-                return
-            elif opcode != Opcode.MESSAGE_INDEX:
-                yield opcode, content
+            if isinstance(record, Chunk):
+                self._settle(record.message_start_time)
+                self._sound.add(at)
+                self._last_ns = max(self._last_ns or 0, record.message_end_time)
+            ended = isinstance(record, DataEnd)
+            if not ended and not isinstance(record, MessageIndex):
+                yield record
             at = after
         self._settle(None)
-        # The chunks were all read or are named, though the end of the data is damaged.
-        self.ends = self.summary.is_there
+        chunks = self.summary.chunk_indexes if self.summary else []
+        if chunks:
+            self.lost = [
+                Lost(each.message_start_time, each.message_end_time)
+                for each in sorted(chunks, key=lambda each: each.chunk_start_offset)
+                if each.chunk_start_offset not in self._sound
+            ]
+        self.ends = ended or bool(chunks)
+        self.is_whole = ended and self.summary is not None
 
     def _past(self, at: int) -> int | None:
-        """Leaves out what begins there, and gives where it goes on."""
+        """Leave out what begins at `at`; return where to go on."""
+        self.damaged = True
+        try:
+            opcode, content = self._content(at)
+            chunk = parsed(Opcode.CHUNK, content) if opcode == Opcode.CHUNK else None
+        except Damaged:
+            opcode, content, chunk = 0, b"", None
+        end = at + PREFIX.size + len(content)
+        if isinstance(chunk, Chunk):
+            # A chunk that lacks bytes ends before the length that it states.
+            self._leave_out(Lost(chunk.message_start_time, chunk.message_end_time))
+            return end if self._is_record(end) else self._next(at + 1) or end
         following = self._next(at + 1)
-        prefix = self._read(at, PREFIX.size)
-        if len(prefix) == PREFIX.size:
-            opcode, length = PREFIX.unpack(prefix)
-            end: int = at + PREFIX.size + length
-            if opcode in _WITHOUT_MESSAGES and end <= (following or self._size) and self._is_record(end):
-                self.damaged = True  # and no message is lost
-                return end
-        if following is not None or self.summary.is_there:
-            self._leave_out(at, following or self._size)
+        if opcode in _WITHOUT_MESSAGES and end <= (following or self._size) and self._is_record(end):
+            return end  # no message is lost
+        if following is not None:
+            self._leave_out(Lost(None, None))
         return following
 
-    def _past_chunk(self, at: int, after: int, chunk: Chunk) -> int:
-        """The same of a chunk whose content is damaged. Where some of it is missing, the next record begins
-        before the end that it tells."""
-        end = after if self._is_record(after) else self._next(at + 1) or after
+    def _leave_out(self, lost: Lost) -> None:
         self.damaged = True
-        self._open.append((at, end, Lost(chunk.message_start_time, chunk.message_end_time)))
-        return end
-
-    # ------------------------------------------------------------------ what is lost
-
-    def _leave_out(self, begin: int, end: int) -> None:
-        self.damaged = True
-        self._open.append((begin, end, Lost(None, None)))
+        self._open.append(lost)
 
     def _settle(self, next_ns: int | None) -> None:
-        """Works out what the damaged parts held before a sound chunk that begins with `next_ns`; None: before
-        the end."""
-        for begin, end, said in self._open:
-            if self.summary.is_there:
-                inside = [each for each in self.summary.chunks if begin <= each.chunk_start_offset < end]
-                self.lost += [Lost(each.message_start_time, each.message_end_time) for each in inside]
-                continue
-            since_ns, until_ns = said
-            # What a damaged chunk says of itself may be damaged as well.
-            earliest, latest = self._last_ns or 0, 2**64 if next_ns is None else next_ns
+        """Determine the times of the open parts, which lie before a chunk that begins at `next_ns`."""
+        earliest, latest = self._last_ns or 0, 2**64 if next_ns is None else next_ns
+        for since_ns, until_ns in self._open:
+            # The times that a damaged chunk states may be damaged as well.
             if since_ns is None or until_ns is None or not earliest <= since_ns <= until_ns <= latest:
                 since_ns, until_ns = self._last_ns, next_ns
             self.lost.append(Lost(since_ns, until_ns))
         self._open.clear()
 
-    @property
-    def summary(self) -> _Summary:
-        """What the end of the file says; nothing where that is damaged or missing."""
-        if self._summary is None:
-            self._summary = _Summary(self._end())
-        return self._summary
-
-    def _end(self) -> bytes:
-        """The file's summary, b"" where it is not sound."""
-        tail = self._read(max(0, self._size - _FOOTER_BYTES - len(MAGIC)), _FOOTER_BYTES + len(MAGIC))
-        if len(tail) < _FOOTER_BYTES + len(MAGIC) or not tail.endswith(MAGIC):
-            return b""
-        if PREFIX.unpack_from(tail) != (Opcode.FOOTER, 20):
-            return b""
-        footer = Footer.read(ReadDataStream(BytesIO(tail[PREFIX.size : -len(MAGIC)])))
-        begin, end = footer.summary_start, self._size - len(tail)
-        if not len(MAGIC) <= begin < end:
-            return b""
-        summary = self._read(begin, end - begin)
-        crc = zlib.crc32(summary + tail[: _FOOTER_BYTES - 4])
-        return summary if footer.summary_crc in (0, crc) else b""
-
-    def _check_end(self, at: int) -> None:
-        """Follows the summary to the end of the file."""
-        while len(prefix := self._read(at, PREFIX.size)) == PREFIX.size:
-            opcode, length = PREFIX.unpack(prefix)
-            at += PREFIX.size + length
-            if at > self._size:
-                return
-            if opcode == Opcode.FOOTER:
-                self.is_whole = self._read(at, len(MAGIC)) == MAGIC
-                return
-
     # ------------------------------------------------------------------ where records are
+
+    def _read_summary(self) -> Summary | None:
+        tail = self._read(max(0, self._size - _FOOTER_BYTES - len(MAGIC)), _FOOTER_BYTES + len(MAGIC))
+        if len(tail) < _FOOTER_BYTES + len(MAGIC) or not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
+            return None
+        summary = Summary()
+        footer = Footer.read(_stream(tail[PREFIX.size :]))
+        if not footer.summary_start:
+            return summary
+        if footer.summary_start >= self._size:
+            return None
+        data = self._read(footer.summary_start, self._size - footer.summary_start)
+        if footer.summary_crc not in (0, zlib.crc32(data[: -4 - len(MAGIC)])):
+            return None
+        try:
+            for record in StreamReader(BytesIO(data), skip_magic=True).records:
+                if isinstance(record, ChunkIndex):
+                    summary.chunk_indexes.append(record)
+                elif isinstance(record, Schema):
+                    summary.schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    summary.channels[record.id] = record
+        except _ERRORS:
+            return None
+        return summary
 
     def _read(self, at: int, length: int) -> bytes:
         self._stream.seek(at)
         return self._stream.read(length)
 
-    def _record(self, at: int) -> tuple[int, bytes]:
-        """The opcode and content of the record that begins there; raises `Damaged`."""
-        opcode, content = self._alone(at)
-        after = at + PREFIX.size + len(content)
-        if opcode in (Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT) and not self._may_begin(after):
-            raise Damaged  # some of it is missing
-        if opcode >= _PRIVATE and not self._is_record(after):
-            raise Damaged  # anything may look like one
-        return opcode, content
-
-    def _alone(self, at: int) -> tuple[int, bytes]:
-        """The same, whatever follows it."""
+    def _content(self, at: int) -> tuple[int, bytes]:
+        """The opcode and the content that begin at `at`; raises `Damaged` where the file ends before."""
         prefix = self._read(at, PREFIX.size)
         if len(prefix) < PREFIX.size:
             raise Damaged
         opcode, length = PREFIX.unpack(prefix)
         if length > min(RECORD_BYTES_MAX, self._size - at - PREFIX.size):
             raise Damaged
-        content = self._stream.read(length)
-        if opcode != Opcode.CHUNK and _is_sound(Opcode.CHUNK, content):
-            return Opcode.CHUNK, content  # nothing but its opcode is damaged
-        if not _is_sound(opcode, content) or (opcode == Opcode.MESSAGE and self._last_ns is not None):
-            raise Damaged  # nobody writes messages between chunks
-        return opcode, content
+        return opcode, self._stream.read(length)
+
+    def _record(self, at: int) -> tuple[McapRecord, int]:
+        """The sound record that begins at `at`, and where the next one begins; raises `Damaged`."""
+        opcode, content = self._content(at)
+        after = at + PREFIX.size + len(content)
+        if opcode != Opcode.CHUNK and _mark_at_start(b"\x06" + PREFIX.pack(0, len(content))[1:] + content):
+            opcode = Opcode.CHUNK  # only its opcode is damaged
+        if opcode == Opcode.MESSAGE and self._last_ns is not None:
+            raise Damaged  # a file with chunks has no messages between them
+        record = parsed(opcode, content)
+        if opcode in (Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT) and not self._may_begin(after):
+            raise Damaged  # some of it is missing
+        return record, after
 
     def _may_begin(self, at: int) -> bool:
-        """Whether something begins there that looks like a record, or the file ends."""
+        """Return True if the file ends at `at` or something like a record begins there."""
         if at >= self._size:
             return True
         try:
-            return self._alone(at)[0] < _PRIVATE or self._is_record(at)
+            parsed(*self._content(at))
         except Damaged:
             return False
+        return True
 
     def _next(self, at: int) -> int | None:
-        """Where the next chunk, metadata or the end of the data begins, from there on."""
+        """Where the next chunk, metadata or end of the data begins, from `at` on."""
         while at < self._size:
             block = self._read(at, _BLOCK_BYTES + _MARK_BYTES)
             for begin in _marks(block):
@@ -254,30 +258,8 @@ class Records:
         return True
 
 
-class _Summary:
-    """What the end of a file says of its chunks, and of its channels and their schemas.
-
-    Attributes:
-        is_there: whether it says anything.
-        records: schemas and channels, as `Records` gives them.
-    """
-
-    def __init__(self, data: bytes) -> None:
-        self.chunks: list[ChunkIndex] = []
-        self.records: list[tuple[int, bytes]] = []
-        try:
-            for opcode, content in records_in(data):
-                if opcode == Opcode.CHUNK_INDEX:
-                    self.chunks.append(ChunkIndex.read(ReadDataStream(BytesIO(content))))
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self.records.append((opcode, content))
-        except (Damaged, McapError, ValueError, struct.error):
-            self.chunks, self.records = [], []
-        self.is_there = bool(self.chunks)
-
-
 def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """(opcode, content) of every record in a chunk or a summary; raises `Damaged` where one is not whole."""
+    """(opcode, content) of every record in an unpacked chunk; raises `Damaged` where one is not whole."""
     at = 0
     while at < len(data):
         if at + PREFIX.size > len(data):
@@ -290,8 +272,54 @@ def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
         at += length
 
 
+def unpacked(chunk: Chunk) -> bytes:
+    """A chunk's records; raises `Damaged`."""
+    if chunk.uncompressed_size > RECORD_BYTES_MAX:
+        raise Damaged
+    try:
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        data: bytes = stream.read(length)
+    except _ERRORS as error:
+        raise Damaged from error
+    except Exception as error:
+        if type(error).__module__.partition(".")[0] not in ("zstandard", "lz4", "zstd"):
+            raise
+        raise Damaged from error
+    if not chunk.uncompressed_crc:
+        for record in records_in(data):
+            parsed(*record)
+    return data
+
+
+def parsed(opcode: int, content: bytes) -> McapRecord:
+    """A record whose content has the length that it states; raises `Damaged`.
+
+    A message index is returned without its entries.
+    """
+    try:
+        if opcode == Opcode.MESSAGE_INDEX:
+            channel, length = struct.unpack_from("<HI", content)
+            if len(content) == 6 + length:
+                return MessageIndex(channel, [])
+        elif opcode == Opcode.MESSAGE:
+            if len(content) >= 22 and next(_marks(content), None) is None:
+                message: McapRecord = Message.read(_stream(content), len(content))
+                return message
+        elif opcode in _CLASSES:
+            stream = _stream(content)
+            record: McapRecord = _CLASSES[opcode].read(stream)
+            crc = content[-4:] if isinstance(record, Attachment) else b""
+            if crc.strip(b"\0") and crc != struct.pack("<I", zlib.crc32(content[:-4])):
+                raise Damaged
+            if stream.count == len(content):
+                return record
+    except _ERRORS as error:
+        raise Damaged from error
+    raise Damaged
+
+
 def _marks(data: bytes) -> Iterator[int]:
-    """Where in it something begins by which one may go on."""
+    """Offsets in `data` of bytes that look like the beginning of a chunk, metadata or the end of the data."""
     for found in _MARK.finditer(data):
         begin = found.start()
         if found[0] == b"\x06":
@@ -302,59 +330,8 @@ def _marks(data: bytes) -> Iterator[int]:
         yield begin
 
 
-def _holds_mark(content: bytes) -> bool:
-    """Whether a record goes on over one by which one may go on: its length is damaged."""
-    return next(_marks(content), None) is not None
-
-
-def _is_sound(opcode: int, content: bytes) -> bool:
-    """Whether a record's length, as it says it, fits its content: a length that is damaged would have chunks
-    skipped."""
-    length = len(content)
-    try:
-        if opcode == Opcode.CHUNK:
-            (name,) = struct.unpack_from("<I", content, 28)
-            (data,) = struct.unpack_from("<Q", content, 32 + name)
-            return length == _CHUNK_BYTES + int(name) + int(data)
-        if opcode == Opcode.MESSAGE_INDEX:
-            return bool(length == 6 + struct.unpack_from("<I", content, 2)[0])
-        if opcode == Opcode.DATA_END:
-            return length == 4
-        if opcode == Opcode.ATTACHMENT:
-            (crc,) = struct.unpack_from("<I", content, length - 4)
-            return crc in (0, zlib.crc32(content[:-4])) and Attachment.read(_stream(content)) is not None
-        if opcode == Opcode.MESSAGE:
-            return length >= 22 and not _holds_mark(content)
-        parser = _PARSERS.get(opcode)
-        if parser is not None:
-            stream = _stream(content)
-            parser.read(stream)
-            if stream.count != length:
-                return False
-        elif opcode < _PRIVATE:
-            return False
-    except (McapError, ValueError, struct.error, OverflowError, MemoryError):
-        return False
-    return not _holds_mark(content)
-
-
-def _decompressed(chunk: Chunk) -> bytes:
-    """A chunk's records; raises `Damaged`."""
-    if chunk.uncompressed_size > RECORD_BYTES_MAX:
-        raise Damaged
-    try:
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        data: bytes = stream.read(length)
-    # The decompressors and the parser of damaged records raise a dozen unrelated types.
-    except (McapError, ValueError, struct.error, RuntimeError, MemoryError, OverflowError) as error:
-        raise Damaged from error
-    except Exception as error:
-        if type(error).__module__.partition(".")[0] not in ("zstandard", "lz4", "zstd"):
-            raise
-        raise Damaged from error
-    if not chunk.uncompressed_crc and not all(_is_sound(*record) for record in records_in(data)):
-        raise Damaged
-    return data
+def _mark_at_start(data: bytes) -> bool:
+    return _MARK.match(data) is not None and next(_marks(data[:_MARK_BYTES]), None) == 0
 
 
 def _stream(content: bytes) -> ReadDataStream:

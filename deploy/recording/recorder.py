@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import IO, Any, Final, Self
 
 import tomli_w
+from mcap.writer import Writer
 
 from agent.common.errors import Error
 from agent.fleet.loading import law_name, to_dict
@@ -28,7 +29,6 @@ from agent.messages.validation import Malformed
 from agent.runtime.version import handfast_version
 from deploy.recording.foxglove.channels import Channels
 from deploy.recording.foxglove.schemas import SCHEMAS
-from deploy.recording.mcap_writer import McapWriter
 from deploy.recording.message_json import schema, schema_name, to_json
 from deploy.recording.run_files import FLEET_FILE, must_have_a_name
 
@@ -104,10 +104,11 @@ class Recorder:
         text = tomli_w.dumps(to_dict(fleet)) if fleet_toml is None else fleet_toml
         try:
             self._stream = open(self.path, "wb")  # noqa: SIM115 - closed by close()
-            self._writer = McapWriter(self._stream, "handfast", CHUNK_BYTES)
+            self._writer = Writer(self._stream, CHUNK_BYTES)
+            self._writer.start(library="handfast")
             self._writer.add_metadata(RUN_METADATA, run)
             # Its own write: a file cut short still says what it was.
-            self._writer.add_attachment(FLEET_FILE, "application/toml", text.encode())
+            self._writer.add_attachment(0, 0, FLEET_FILE, "application/toml", text.encode())
             self._stream.flush()
         except OSError as error:
             failure = self._error(error)
@@ -220,14 +221,14 @@ class Recorder:
     def _channel(self, key: str, kind: _Kind) -> int:
         """Register the channel of a key and a kind."""
         if kind is None:
-            channel = self._writer.add_channel(key, RAW_ENCODING, 0, {})
+            channel = self._writer.register_channel(key, RAW_ENCODING, 0, {})
         else:
             name = kind if isinstance(kind, str) else schema_name(kind)
             if name not in self._schemas:
                 content = json.dumps(SCHEMAS[kind] if isinstance(kind, str) else schema(kind))
-                self._schemas[name] = self._writer.add_schema(name, "jsonschema", content.encode())
+                self._schemas[name] = self._writer.register_schema(name, "jsonschema", content.encode())
             derived = {"derived": "true"} if isinstance(kind, str) else {}
-            channel = self._writer.add_channel(key, "json", self._schemas[name], derived)
+            channel = self._writer.register_channel(key, "json", self._schemas[name], derived)
         self._channels[(key, kind)] = channel
         return channel
 

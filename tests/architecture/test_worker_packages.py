@@ -105,7 +105,6 @@ def test_the_extra_cluster_brings_what_runs_import() -> None:
     extras = project["optional-dependencies"]
     assert "handfast[security]" in extras["cluster"]
     brought = names([*project["dependencies"], *extras["cluster"], *extras["security"]])
-    brought.add("zstandard")  # by mcap
     assert {distribution(name) for name in needed()} <= brought
 
 

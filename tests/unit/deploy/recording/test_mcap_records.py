@@ -23,7 +23,7 @@ from mcap.writer import CompressionType
 from agent.fleet.loading import to_dict
 from agent.messages.codec import encode
 from deploy.recording.mcap_reader import read_run
-from deploy.recording.mcap_writer import MAGIC
+from deploy.recording.mcap_records import MAGIC
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording
 from deploy.report.run_folder import rebuild

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import resource
+import signal
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -34,7 +36,7 @@ from agent.messages.types import (
 from deploy.recording.foxglove.channels import Channels
 from deploy.recording.foxglove.schemas import SCHEMAS
 from deploy.recording.mcap_reader import read_mcap
-from deploy.recording.mcap_writer import MAGIC
+from deploy.recording.mcap_records import MAGIC
 from deploy.recording.message_json import reader, schema, to_json
 from deploy.recording.recorder import (
     CHANNELS_MAX,
@@ -323,27 +325,21 @@ def test_a_full_disk_is_one_clear_line() -> None:
 
 
 def test_a_disk_that_fills_up_is_said_once_and_ends_quietly(tmp_path: Path) -> None:
-    class Full:
-        """A file on a disk that fills up after the header."""
-
-        def __init__(self, stream: Any) -> None:
-            self._stream = stream
-
-        def write(self, data: bytes) -> int:
-            raise OSError(28, "No space left on device")
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self._stream, name)
-
     recorder = Recorder(tmp_path / "run.mcap", FLEET)
-    recorder._writer._stream = Full(recorder._stream)  # type: ignore[assignment]
     recorder.record(EPOCH_NS, "some/key", b"buffered")
-    with pytest.raises(RecordingError, match=r"run\.mcap: No space left on device"):
-        recorder.record(EPOCH_NS + 2 * 10**9, "some/key", b"flushes")
-    recorder.record(EPOCH_NS + 4 * 10**9, "some/key", b"ignored")
-    recorder.set_outcome(["ignored"])
-    recorder.close()
-    recorder.close()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (recorder.path.stat().st_size, limits[1]))
+    try:
+        with pytest.raises(RecordingError, match=r"run\.mcap: File too large"):
+            recorder.record(EPOCH_NS + 2 * 10**9, "some/key", b"flushes")
+        recorder.record(EPOCH_NS + 4 * 10**9, "some/key", b"ignored")
+        recorder.set_outcome(["ignored"])
+        recorder.close()
+        recorder.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_a_recording_holds_what_foxglove_shows_and_no_reader_takes_it_for_a_message(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ from agent.messages.types import (
 )
 from deploy.recording.collector import RunData
 from deploy.recording.mcap_reader import read_mcap, read_run
-from deploy.recording.mcap_writer import MAGIC
+from deploy.recording.mcap_records import MAGIC
 from deploy.recording.message_json import to_json
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording

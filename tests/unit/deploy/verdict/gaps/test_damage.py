@@ -12,7 +12,7 @@ from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
 from agent.messages.codec import encode
 from deploy.recording.mcap_reader import read_run
-from deploy.recording.mcap_writer import PREFIX
+from deploy.recording.mcap_records import PREFIX
 from deploy.recording.recorder import Recorder
 from deploy.recording.recording import Recording
 from deploy.verdict.run_result import RunResult
