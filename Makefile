@@ -1,10 +1,6 @@
 # Every target does its own set-up in .venv, from the locked versions in requirements/.
 #   PYTHON=/path/to/python3.12   the interpreter to make .venv with, after `make clean` (default: the first >= 3.11 found)
 #   JUNIT=folder                 `make check` and `make test` also write their results there as XML
-#   CHECKED=1                    `make test` leaves out what `make check` runs
-#   SLOW=compiled                `make test` leaves slow simulations to `make test-compiled`, which does them in
-#                                half the time
-#   FORMS=both                   `make test-compiled` also runs quick tests of what is compiled
 #   PGO=1                        `make compiled` compiles twice, the second time for what drives take (gcc only)
 
 SHELL := /bin/sh
@@ -39,24 +35,19 @@ USE_PROFILE := -fprofile-use=$$tmp/profile -fprofile-partial-training -Wno-missi
 UNPROFILED := $(if $(PGO),$(shell grep -qsx pgo $(COMPILED)/.built || echo FORCE))
 
 DEMO_OUT ?= runs/demo
-# Where every test is one that starts processes; named, that the others need not be collected again.
+# Every test in these folders starts processes. Naming them saves collecting the others again.
 STARTING := tests/process tests/hosts
-QUICK := not process and not slow and not autopilot and not compiled
-REST := not process and not compiled$(if $(CHECKED), and (slow or autopilot))
-REST := $(REST)$(if $(filter compiled,$(SLOW)), and (patches or not slow))
-SLOW_COMPILED := slow and not patches and not process and not compiled and not autopilot
-QUICK_COMPILED := $(QUICK) and not patches
+PURE := $(addprefix --ignore=,$(STARTING))
+QUICK := not slow and not long and not autopilot and not compiled
 OF_COMPILED := $(addprefix tests/,unit/agent unit/plant property simulation)
 # What users add in Python must drive with what is compiled, and who watches whom goes by it.
 ON_COMPILED := own_laws.py own_plants.py supervision.py
 DRIVES := slip or in_run or mid_drive or supervision
-# Of the tests that start processes those of one module share what it has set up. Those of tests/hosts are one
-# worker's, but for some (tests/conftest.py), which has them as long as another has the rest: a third would
-# only make both late.
+# Tests of one module share what it has set up, and those of tests/hosts have one worker (tests/conftest.py).
 WAITING := -n 2 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(abspath $(JUNIT))/$(1).xml)
 
-.PHONY: help demo test test-compiled check lint format bench docs lock setup compiled clean FORCE
+.PHONY: help demo test test-long test-compiled check lint format bench docs lock setup compiled clean FORCE
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | \
@@ -68,24 +59,28 @@ demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves i
 	if [ -e '$(DEMO_OUT)/report.html' ]; then printf '\nReport: %s\n' '$(abspath $(DEMO_OUT))/report.html'; fi; \
 	exit $$status
 
-test: $(VENV)/.dev ## all tests but those of `make compiled`: those that compute, start processes, need a machine alone
-	$(PY) -m pytest -n 2 -m '$(REST)' $(call junit,computing)
-	$(PY) -m pytest $(STARTING) $(WAITING) -m 'not alone' $(call junit,processes)
-	$(PY) -m pytest $(STARTING) -m alone $(call junit,alone)
+test: $(VENV)/.dev ## unit, property and virtual-time tests, then those with processes and test hosts
+	$(PY) -m pytest -n 2 $(PURE) -m 'not long and not compiled' $(call junit,computing)
+	$(PY) -m pytest $(STARTING) $(WAITING) -m 'not long and not alone' $(call junit,processes)
+	$(PY) -m pytest $(STARTING) -m 'alone and not long' $(call junit,alone)
+
+test-long: $(VENV)/.dev ## campaigns, kill matrices, long drives and the compiled form; takes an hour or two
+	$(PY) -m pytest -n 2 $(PURE) -m 'long and not compiled' $(call junit,long-computing)
+	$(PY) -m pytest $(STARTING) $(WAITING) -m 'long and not alone' $(call junit,long-processes)
+	$(PY) -m pytest $(STARTING) -m 'long and alone' $(call junit,long-alone)
+	@$(MAKE) test-compiled
 
 test-compiled: $(COMPILED)/.built ## the tests of `make compiled`: the same bytes as the Python it is made of
 	$(PY) -m pytest tests/compiled -m compiled $(call junit,compiled)
 	@rm -rf $(COMPILED_BUILD)/tests $(COMPILED_BUILD)/docs
 	@cp -RP tests docs Makefile requirements .ci $(COMPILED_BUILD)
-	@cd $(COMPILED_BUILD) && $(if $(filter compiled,$(SLOW)),'$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider \
-	  -m '$(SLOW_COMPILED)' $(call junit,compiled-computing),:)
-	@cd $(COMPILED_BUILD) && $(if $(filter both,$(FORMS)),'$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider \
-	  -m '$(QUICK_COMPILED)' $(OF_COMPILED) $(call junit,compiled-quick),:)
+	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 -p no:cacheprovider -m '$(QUICK) and not patches' \
+	  $(OF_COMPILED) $(call junit,compiled-quick)
 	cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m pytest -n 2 --dist loadfile -p no:cacheprovider -k '$(DRIVES)' \
 	  $(addprefix tests/process/test_,$(ON_COMPILED)) $(call junit,compiled-processes)
 
 check: lint ## the quick loop: lint, then the fast tests
-	$(PY) -m pytest -n 2 -m '$(QUICK)' $(call junit,quick)
+	$(PY) -m pytest -n 2 $(PURE) -m '$(QUICK)' $(call junit,quick)
 
 lint: $(VENV)/.dev ## ruff, mypy --strict, import-linter
 	$(PY) -m ruff check .

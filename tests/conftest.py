@@ -49,11 +49,11 @@ def pytest_report_header(config: pytest.Config) -> str:
 
 @pytest.hookimpl(optionalhook=True)  # with -p no:xdist nobody knows it
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling | None:
-    """With --dist loadfile: modules side by side, but few sets of test hosts at a time."""
-    return FewSetsOfHosts(config, log) if config.getoption("dist") == "loadfile" else None
+    """With --dist loadfile: modules side by side, but one set of test hosts at a time."""
+    return OneSetOfHosts(config, log) if config.getoption("dist") == "loadfile" else None
 
 
-class FewSetsOfHosts(LoadFileScheduling):
+class OneSetOfHosts(LoadFileScheduling):
     """Gives all tests of tests/hosts to one worker."""
 
     def _split_scope(self, nodeid: str) -> str:

@@ -20,7 +20,7 @@ from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
 from tests.process.harness import wait_for
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 CALM = {"rate_hz": 25.0}
 PATIENT = {"wrench_timeout_s": 0.5, "plant_timeout_s": 0.5}
 ROBOTS = range(1, 7)

@@ -20,7 +20,7 @@ from tests.hosts.hosts import Hosts
 from tests.hosts.operated_fleet import ANNA, NAME, Operated, drives, pair, states
 from tests.process.harness import wait_for
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, fetch_wheels
 from tests.hosts.hosts import Hosts
 from tests.hosts.operated_fleet import ANNA, Operated, drives, enroll, pair, stopped
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 CLOSED = """table inet closed {{
     chain input {{ type filter hook input priority 0; ip saddr {operator} tcp dport {ports} drop; }}
 }}

@@ -20,6 +20,8 @@ from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
 from tests.process.harness import ROOT, wait_for
 
+pytestmark = pytest.mark.long
+
 SWEEP = ("pair", "--duration", "8s", "--over", "control.kp=0.5,1", "--repeat", "7", "--random-starts")
 WORKER = "deploy.cluster.worker_process"
 TIMEOUT_S = 120.0

@@ -25,7 +25,7 @@ from deploy.recording.recording import Recording
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.hosts import Hosts
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 PLACES = ((0.0, 0.0), (1.0, 0.0), (0.5, 0.87))
 LIAR = 2
 

@@ -103,6 +103,7 @@ def test_only_what_does_not_run_is_started(fleet: FleetOnHosts) -> None:
     assert [after[role] == before[role] for role in before] == [False, True, True]
 
 
+@pytest.mark.long
 def test_a_renewed_certificate_is_taken_into_use_though_the_up_that_brought_it_was_ended(
     fleet: FleetOnHosts,
 ) -> None:
@@ -220,6 +221,7 @@ def test_killed_hung_and_cut_off_it_comes_back(fleet: FleetOnHosts, tmp_path: Pa
     ]
 
 
+@pytest.mark.long
 def test_an_upgrade_takes_one_robot_at_a_time_and_the_rest_drive(fleet: FleetOnHosts, tmp_path: Path) -> None:
     newer = tmp_path / "newer"
     for package in ("agent", "plant", "bridges", "deploy"):
@@ -305,6 +307,7 @@ def test_logs_are_merged_by_time(fleet: FleetOnHosts) -> None:
     assert follow.returncode == 130
 
 
+@pytest.mark.long
 def test_a_host_that_was_away_runs_another_version_which_is_said(fleet: FleetOnHosts, tmp_path: Path) -> None:
     """The upgrade of before is taken back, but one host does not hear of it."""
     away: Host = fleet.hosts[1]

@@ -18,6 +18,8 @@ from tests.hosts.host import Host, Setup
 from tests.hosts.hosts import Hosts, missing
 from tests.process.harness import PATIENCE_S, wait_for
 
+pytestmark = pytest.mark.long
+
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
 
 

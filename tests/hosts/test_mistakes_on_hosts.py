@@ -45,6 +45,7 @@ def fleet(made: Operated) -> Operated:
     return made.of("main", "main")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ahead_s", [60.0, 3600.0])
 def test_a_resume_of_a_clock_that_is_ahead_outlives_no_stop(fleet: Operated, ahead_s: float) -> None:
     drives(fleet)
@@ -62,6 +63,7 @@ def test_a_resume_of_a_clock_that_is_ahead_outlives_no_stop(fleet: Operated, ahe
     stopped(fleet, reason)
 
 
+@pytest.mark.long
 def test_orders_of_a_clock_days_ahead_are_refused_but_stops(fleet: Operated) -> None:
     drives(fleet)
     fleet.of(ANNA, ANNA, 3 * DAY_S)
@@ -85,6 +87,7 @@ def test_orders_of_a_clock_days_ahead_are_refused_but_stops(fleet: Operated) -> 
     stopped(fleet, "main's")
 
 
+@pytest.mark.long
 def test_what_one_operator_stopped_and_took_down_is_lifted_by_no_other_unseen(
     fleet: Operated,
 ) -> None:
@@ -98,6 +101,7 @@ def test_what_one_operator_stopped_and_took_down_is_lifted_by_no_other_unseen(
     assert "a person on the field; drive with --resume" in told
 
 
+@pytest.mark.long
 def test_a_stop_of_a_fleet_that_is_down_is_later_than_what_a_clock_that_was_ahead_has_left(
     fleet: Operated,
 ) -> None:
@@ -122,6 +126,7 @@ def test_a_stop_is_given_though_the_operators_certificate_has_expired(fleet: Ope
     assert "expired" not in fleet.handfast("keys", "--list").stdout
 
 
+@pytest.mark.long
 def test_what_was_recorded_under_an_authority_that_was_replaced_is_believed(
     fleet: Operated, tmp_path: Path
 ) -> None:

@@ -20,7 +20,7 @@ from tests.hosts.hosts import Hosts
 from tests.process.examples import installed
 from tests.process.harness import ROOT
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 
 
 class WithExamples(FleetOnHosts):

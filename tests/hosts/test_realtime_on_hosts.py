@@ -18,7 +18,7 @@ from tests.hosts.programs import python_to_lend
 from tests.process.harness import wait_for
 from tests.realtime_here import may_raise_limits
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
 GRANTED, ORDINARY = 1, 2
 """Robots: on a host where it is root's and keeps what root may, and on one where it is a user's."""

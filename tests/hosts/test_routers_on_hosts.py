@@ -19,7 +19,7 @@ from tests.hosts.hosts import Hosts
 from tests.hosts.operated_fleet import states
 from tests.process.harness import measured, wait_for
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 CALM = {"rate_hz": 25.0}
 """On a busy machine the robots shall be judged, not the scheduler."""
 PATIENT = {"wrench_timeout_s": 0.5, "plant_timeout_s": 0.5}

@@ -30,7 +30,7 @@ from tests.hosts.hosts import Hosts
 from tests.hosts.operated_fleet import states
 from tests.process.harness import measured, wait_for
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
 HAND_OVER: Final = Path(__file__).with_name("hand_over.py")
 FORGET: Final = Path(__file__).with_name("forget_exclusive.py")

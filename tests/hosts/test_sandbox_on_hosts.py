@@ -133,6 +133,7 @@ def test_nothing_but_its_unit_keeps_it_from_that(fleet: FleetOnHosts) -> None:
     measured("a unit to ready, ms: open", float(found[READY]))
 
 
+@pytest.mark.long
 def test_it_drives_and_what_processes_keep_is_there(fleet: FleetOnHosts) -> None:
     assert "formation within 5 %" in fleet.handfast("drive", "--out", "drive", "--no-report").stdout
     for robot in (1, 2):
@@ -174,6 +175,7 @@ def test_a_bridge_drives_its_vehicle_on_a_serial_port(fleet: FleetOnHosts) -> No
     rover.handfast("down")
 
 
+@pytest.mark.long
 def test_where_a_user_has_no_namespaces_up_says_so_and_filters_stay(
     fleet: FleetOnHosts, make_hosts: MakeHosts, tmp_path: Path
 ) -> None:

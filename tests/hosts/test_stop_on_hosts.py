@@ -70,6 +70,7 @@ def drive(fleet: FleetOnHosts, duration: str = "300") -> None:
     wait_for(lambda: set(states(fleet).values()) == {"running"}, "all drive", 20.0)
 
 
+@pytest.mark.long
 def test_a_stop_gets_through_a_flood_that_lets_no_link_open(fleet: FleetOnHosts, stranger: Host) -> None:
     drive(fleet)
     with flood(stranger, fleet, FLOOD_PER_S):

@@ -29,7 +29,7 @@ from tests.process.harness import environment, no_trouble, wait_for
 from tests.process.page_talk import SHOWN
 from tests.process.test_view_live import DRIVES, first_order
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 ANOTHER_TOKEN: Final = "another token: open the address that handfast view printed"
 SERVER: Final = f"https://{OPERATOR_ADDRESS}"
 POLICIES: Final = "/etc/chromium/policies/managed"

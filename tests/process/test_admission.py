@@ -34,6 +34,8 @@ from tests.process.harness import ADDRESS, environment, measured, no_trouble, wa
 from tests.process.test_security_links import Guarded
 from tests.trusted import FLEET, authority, credentials
 
+pytestmark = pytest.mark.long
+
 OUTSIDE = "127.0.0.2"
 """Where others reach robot 1; its processes are on `ADDRESS`."""
 BASE_PORT = 21_760

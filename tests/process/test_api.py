@@ -14,8 +14,6 @@ import pytest
 
 import handfast
 
-pytestmark = pytest.mark.alone
-
 PAGE = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 RUNS = [block for block in BLOCKS if "handfast.run(" in block]
@@ -29,6 +27,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.alone
 def test_the_page_runs_a_fleet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -51,9 +50,8 @@ def test_the_page_runs_a_fleet(
     [
         ("handfast.run('pair', out='run', report=False)", "run/run.mcap"),
         ("handfast.sweep('lattice45', seeds=4, workers=2)", ""),
-        ("handfast.simulate('lattice45')", ""),
     ],
-    ids=["run", "sweep", "simulate"],
+    ids=["run", "sweep"],
 )
 def test_after_ctrl_c_no_process_is_left(tmp_path: Path, code: str, begun: str) -> None:
     """That none is: the fixture for all tests sees to it."""

@@ -12,6 +12,8 @@ import pytest
 from deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, ROOT, environment, last_lines, no_trouble
 
+pytestmark = pytest.mark.long
+
 BASE_PORT = 26_368
 LIMIT_S = 200.0
 BOOT_S = 10.0

@@ -30,6 +30,8 @@ SLOWLY = (
 )
 DRIVEN = {"line10": BUSY, "obstacles": BUSY, "rovers": BUSY, "lattice45": SLOWLY}
 """Each with what it is given on a busy machine: 45 robots take two cores of a small machine at 20 Hz."""
+SIMPLE = ("line10", "obstacles")
+"""Fleets whose processes differ from those of delta in their number only."""
 SECONDS = 5.0
 NETWORK = ("--set", "network.base_port=21120")
 
@@ -43,7 +45,10 @@ def test_each_is_driven_here_or_elsewhere() -> None:
         assert f'"run", "{name}"' in (root / path).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", DRIVEN)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.long if name in SIMPLE else ()) for name in DRIVEN],
+)
 def test_it_drives_to_the_end_and_ends_when_asked(name: str, tmp_path: Path) -> None:
     arguments = ("run", name, "--duration", f"{SECONDS:g}", "--out", "out", "--no-report", "--no-check")
     with Command(tmp_path, *arguments, *NETWORK, *DRIVEN[name]) as command:

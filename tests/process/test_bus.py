@@ -104,6 +104,7 @@ def test_same_robot_twice(tmp_path: Path) -> None:
         assert not all_robots.died()
 
 
+@pytest.mark.long
 def test_a_port_that_a_router_cannot_have() -> None:
     """It has no base_port to change."""
     with socket.create_server((ADDRESS, 0)) as taken:
@@ -113,6 +114,7 @@ def test_a_port_that_a_router_cannot_have() -> None:
     assert str(raised.value).endswith("stop what uses it, or let the router listen on another")
 
 
+@pytest.mark.long
 def test_address_of_another_machine(tmp_path: Path) -> None:
     with placed(make_fleet(), address="192.0.2.1") as fleet:  # TEST-NET-1: nobody has it
         says = agent_fails(tmp_path, fleet, 1)
@@ -121,6 +123,7 @@ def test_address_of_another_machine(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("role", key_expressions.ROLES)
 def test_robot_that_the_fleet_lacks(tmp_path: Path, role: str) -> None:
     with placed(make_fleet()) as fleet:
@@ -151,6 +154,7 @@ def test_any_order_of_start(tmp_path: Path, order: Sequence[tuple[int, str]]) ->
         no_trouble_in_logs(all_robots.folder)
 
 
+@pytest.mark.long
 def test_neighbour_whose_clock_is_a_little_ahead(tmp_path: Path) -> None:
     """Half a period is less than clocks of two machines differ: such a neighbour is heard like any other."""
     with placed(make_fleet()) as fleet, Robots(fleet, tmp_path / "r") as all_robots:
@@ -425,6 +429,7 @@ def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
     assert_same_way(folder, tmp_path / "simulated" / "out", SECONDS, AGREE_M)
 
 
+@pytest.mark.long
 def test_garbage_through_a_router_has_no_robot_stop(tmp_path: Path) -> None:
     """An operator hears it, too, as nothing is secured: what robots say of themselves counts."""
     with robots(tmp_path / "r", "pair", ROUTED, *BUSY_SETTINGS) as all_robots:
@@ -447,6 +452,7 @@ def test_garbage_through_a_router_has_no_robot_stop(tmp_path: Path) -> None:
         no_trouble_in_logs(all_robots.folder)
 
 
+@pytest.mark.long
 def test_flood_harms_nobody_for_longer_than_it_lasts(tmp_path: Path) -> None:
     """Flat out on every key, far more than the inboxes hold: robots may brake, and drive on afterwards."""
     with robots(

@@ -14,7 +14,7 @@ import pytest
 from deploy.recording.mcap_reader import read_run
 from tests.process.harness import BUSY, Command, no_trouble_in_logs
 
-pytestmark = pytest.mark.alone  # a drive of 12 processes is judged, not what else a machine has to do
+pytestmark = [pytest.mark.long, pytest.mark.alone]
 NETWORK = ("--set", "network.base_port=21120")
 ROUTED = ("--set", 'network.routers=["10.0.0.1:7447", "10.0.0.2:7447"]')
 ROBOTS = (1, 2, 3, 4, 5, 6)

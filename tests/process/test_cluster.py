@@ -77,6 +77,7 @@ def dask(tmp_path: Path) -> Iterator[DaskProcesses]:
         yield processes
 
 
+@pytest.mark.long
 def test_a_worker_the_command_and_the_scheduler_are_lost_and_the_folder_is_the_same(
     local: Path, dask: DaskProcesses, tmp_path: Path
 ) -> None:
@@ -115,6 +116,7 @@ def test_a_worker_the_command_and_the_scheduler_are_lost_and_the_folder_is_the_s
     assert_same_folder(out, local)
 
 
+@pytest.mark.long
 def test_after_ctrl_c_nothing_is_driven_any_more(lasting: DaskProcesses, tmp_path: Path) -> None:
     with Command(
         tmp_path, "sweep", *SWEEP, "--repeat", "500", "--out", "out", "--cluster", lasting.address
@@ -133,6 +135,7 @@ def test_after_ctrl_c_nothing_is_driven_any_more(lasting: DaskProcesses, tmp_pat
     wait_for(lambda: not driving(), "no run is under way", STATUS_S, lasting.told)
 
 
+@pytest.mark.long
 def test_chaos_says_the_same(lasting: DaskProcesses, tmp_path: Path) -> None:
     said = []
     for more in ((), ("--cluster", lasting.address)):
@@ -161,6 +164,7 @@ def test_a_law_of_others_goes_along(
     assert "crashed" not in (tmp_path / "out" / "results.csv").read_text()
 
 
+@pytest.mark.long
 def test_a_run_that_kills_its_worker_twice_and_one_that_hangs_are_results(dask: DaskProcesses) -> None:
     told: list[str] = []
     with Cluster(dask.address, KillingWork(), 2.0, files={}, say=told.append) as cluster:
@@ -173,6 +177,7 @@ def test_a_run_that_kills_its_worker_twice_and_one_that_hangs_are_results(dask: 
     assert sum("is gone" in text for text in told) == 2, told
 
 
+@pytest.mark.long
 def test_a_worker_with_other_sources_is_given_nothing(tmp_path: Path) -> None:
     with DaskProcesses(tmp_path / "dask", 0) as other:
         other.add_worker(changed_copy(tmp_path / "changed"), "--name", "other")
@@ -194,6 +199,7 @@ def test_a_worker_with_other_sources_is_given_nothing(tmp_path: Path) -> None:
             assert list(cluster.results([2], lambda: True)) == ["done 2"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("where", "says"),
     [
@@ -209,6 +215,7 @@ def test_what_is_no_cluster_is_one_line(tmp_path: Path, where: str, says: str) -
     no_trouble(command.err, "the command")
 
 
+@pytest.mark.long
 def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "CONNECT_S", 0.3)
     with (

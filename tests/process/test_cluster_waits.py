@@ -24,7 +24,8 @@ from tests.process.harness import ADDRESS, Command, environment, no_trouble, wai
 from tests.process.killing_work import KillingWork
 from tests.process.test_cluster import STATUS_S, wait_for_rows
 
-pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # Dask's own, of sockets of the dead
+# Dask leaves sockets of dead peers open.
+pytestmark = [pytest.mark.long, pytest.mark.filterwarnings("ignore::ResourceWarning")]
 SWEEP = ("pair", "--duration", "1s", "--out", "out")
 SOON_S = 12.0
 """An end that somebody asked for takes no longer than this, on any busy machine."""

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
@@ -147,6 +149,7 @@ def test_a_stop_that_somebody_meant_is_lifted_by_name_only(tmp_path: Path) -> No
             assert plant["driving"].any()
 
 
+@pytest.mark.long
 def test_robots_left_to_themselves_drive_to_the_end(tmp_path: Path) -> None:
     with fleet_up(tmp_path) as fleet:
         status, out = fleet.told_by("drive", "--detach", "--duration", "5", "--quiet")
@@ -186,6 +189,7 @@ def test_a_fleet_that_another_drive_has_taken_is_left_alone(tmp_path: Path) -> N
         complete(folder)
 
 
+@pytest.mark.long
 def test_robots_that_read_another_file_are_not_driven(tmp_path: Path) -> None:
     with fleet_up(tmp_path) as fleet:
         other = tmp_path / "other.toml"

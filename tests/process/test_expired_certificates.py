@@ -6,11 +6,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
+import pytest
+
 from agent.runtime.certificate_wait import WAITS
 from agent.security.identity import of_robot
 from tests.process.fleet_harness import placed
 from tests.process.harness import no_trouble_in_logs
 from tests.process.secured_fleet import AGO_S, Keys, SecuredRobots, three
+
+pytestmark = pytest.mark.long
 
 LATE: Final = 3
 ROLES: Final = ("agent", "plant", "recorder")

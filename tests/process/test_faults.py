@@ -107,6 +107,7 @@ def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
     assert 0.5 < healed_s <= LEASE_S
 
 
+@pytest.mark.long
 def test_ctrl_c_heals(tmp_path: Path) -> None:
     with running_pair(tmp_path / "run", 6) as (name, run):
         with Command(tmp_path / "set", "faults", "set", name, "--robot", "1", "--delay", "40ms") as command:
@@ -122,6 +123,7 @@ def test_ctrl_c_heals(tmp_path: Path) -> None:
         assert run.wait() == 0, run.told()
 
 
+@pytest.mark.long
 def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     with running_pair(tmp_path / "run", 60) as (name, run):
         for arguments, says in (
@@ -140,6 +142,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
         assert run.wait() == 130, run.told()
 
 
+@pytest.mark.long
 def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
     """Not a failure of the run: the agent drives on, a new plant has its body where it was."""
     rules = rule(
@@ -183,6 +186,7 @@ def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
     assert abs(speed) > 0.1, "it stood when it came back"
 
 
+@pytest.mark.long
 def test_a_paused_plant_brakes_nobody_else_and_drives_on(tmp_path: Path) -> None:
     """Also one that is paused at the end: it is let go so that it can end."""
     rules = rule(

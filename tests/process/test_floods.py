@@ -6,6 +6,8 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+import pytest
+
 from agent.messages.codec import encode
 from agent.messages.types import PlantState, Stop
 from agent.runtime.order_store import STOP_FILE, packed
@@ -15,6 +17,8 @@ from tests.process import attackers
 from tests.process.flooding import flooding, targets_of
 from tests.process.harness import measured
 from tests.process.secured_fleet import SecuredRobots, secured_robots, three
+
+pytestmark = pytest.mark.long
 
 PER_S = 300
 OWN = 40

@@ -68,6 +68,7 @@ def test_processes_are_forked_and_seen_as_if_they_were_started(tmp_path: Path) -
     no_trouble_in_logs(tmp_path / "out")
 
 
+@pytest.mark.long
 def test_a_run_whose_fork_server_is_killed_ends(tmp_path: Path) -> None:
     with drive(tmp_path) as command:
         command.wait_until_driving()
@@ -81,6 +82,7 @@ def test_a_run_whose_fork_server_is_killed_ends(tmp_path: Path) -> None:
         assert "ending (the process that started it is gone)" in log.read_text(), log.read_text()
 
 
+@pytest.mark.long
 def test_a_run_whose_fork_server_is_killed_early_starts_what_it_needs(tmp_path: Path) -> None:
     """Before it has forked anything, nothing is lost."""
     with drive(tmp_path) as command:
@@ -95,6 +97,7 @@ def test_a_run_whose_fork_server_is_killed_early_starts_what_it_needs(tmp_path: 
     no_trouble_in_logs(tmp_path / "out")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("processes", [0, 1, 3])
 @pytest.mark.parametrize("which", ["command", "server"])
 def test_nothing_is_left_of_a_start_that_is_killed(tmp_path: Path, processes: int, which: str) -> None:

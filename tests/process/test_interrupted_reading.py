@@ -14,12 +14,8 @@ from tests.process.harness import Command, wait_for
 @pytest.mark.parametrize(
     ("words", "number"),
     [
-        (("simulate",), signal.SIGINT),
-        (("simulate", "delta", "--faults"), signal.SIGTERM),
-        (("sweep",), signal.SIGTERM),
         (("run",), signal.SIGINT),
         (("up",), signal.SIGINT),
-        (("drive",), signal.SIGINT),
     ],
 )
 def test_it_can_be_interrupted(tmp_path: Path, words: tuple[str, ...], number: signal.Signals) -> None:

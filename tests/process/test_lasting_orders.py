@@ -50,6 +50,7 @@ def nobody_drives(fleet: Robots, from_ns: int, for_s: float = 2.0) -> None:
         assert not any(m.driving for _, m in fleet.since(from_ns, PlantState, robot)), fleet.told()
 
 
+@pytest.mark.long
 def test_a_fleet_whose_robots_all_start_again_waits_for_a_word(tmp_path: Path) -> None:
     with all_ready(triangle(), tmp_path / "r") as fleet:
         fleet.drive()
@@ -93,6 +94,7 @@ def test_a_stop_by_a_file_holds_though_all_start_again(
         assert not fleet.died()
 
 
+@pytest.mark.long
 def test_a_resume_that_was_given_before_a_stop_does_not_lift_it(tmp_path: Path) -> None:
     """As one that has waited for its links meanwhile, or on a laptop whose lid was closed."""
     with robots(tmp_path / "r", "pair") as fleet:
@@ -109,6 +111,7 @@ def test_a_resume_that_was_given_before_a_stop_does_not_lift_it(tmp_path: Path) 
         fleet.wait_until_all("running")
 
 
+@pytest.mark.long
 def test_a_damaged_file_is_said_and_nobody_drives(tmp_path: Path) -> None:
     with robots(tmp_path / "r", "pair") as fleet:
         fleet.drive()

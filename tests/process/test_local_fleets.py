@@ -123,6 +123,7 @@ def test_two_of_one_name_from_a_third_terminal(terminals: Terminals) -> None:
     assert only["stop"] == f"handfast stop {terminals.name}"
 
 
+@pytest.mark.long
 def test_a_killed_run_is_not_listed_and_a_frozen_one_is_said_to_be(terminals: Terminals) -> None:
     killed, frozen = terminals.runs
     children = list(killed.children())
@@ -146,6 +147,7 @@ def test_a_killed_run_is_not_listed_and_a_frozen_one_is_said_to_be(terminals: Te
     killed.wait_until_gone(children)
 
 
+@pytest.mark.long
 def test_a_run_whose_entry_and_whose_folder_are_lost(terminals: Terminals) -> None:
     damaged, bare = terminals.runs
     (entry,) = private_folder().glob(f"run-{damaged.process.pid}-*.json")

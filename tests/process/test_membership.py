@@ -112,6 +112,7 @@ at = 2
 """
 
 
+@pytest.mark.long
 def test_a_run_removes_whom_it_has_not_heard_for_long(tmp_path: Path) -> None:
     """The robot dies at 2 s: at 3 s it has only just been heard."""
     text = (FLEETS / "reserve.toml").read_text() + REMOVALS
@@ -133,6 +134,7 @@ def test_a_run_removes_whom_it_has_not_heard_for_long(tmp_path: Path) -> None:
     assert [robot for robot in last if last[robot] == recording.missions[-1].version] == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.long
 def test_no_coordinator(tmp_path: Path) -> None:
     """Who gave an order is killed as soon as one agent has it: all get it, and so does who starts again."""
     with all_ready(triangle(), tmp_path / "r") as fleet:
@@ -203,6 +205,7 @@ def test_a_body_is_removed_and_comes_back(tmp_path: Path) -> None:
         no_trouble_in_logs(fleet.folder)
 
 
+@pytest.mark.long
 def test_two_operators_at_once(tmp_path: Path) -> None:
     """One order holds, the same everywhere; who is told that all know has given that one, or was first."""
     with all_ready(triangle(), tmp_path / "r") as fleet:

@@ -6,8 +6,12 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
+
 from agent.messages.types import Beacon, HandState, Status
 from tests.process.fleet_harness import robots
+
+pytestmark = pytest.mark.long
 
 HELD_UP_S = 0.06
 PATIENT = ("control.wrench_timeout_s=1", "control.plant_timeout_s=1")

@@ -119,6 +119,7 @@ def test_in_simulate_they_form_up_and_keep_their_distances(law: str, loss: str, 
     assert found["final_distance_error_m"] < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.alone  # six robots form up in a time that a machine with more to do does not keep
 @pytest.mark.parametrize("law", LAWS)
 def test_in_run_each_robot_has_its_own(law: str, tmp_path: Path) -> None:
@@ -133,6 +134,7 @@ def test_in_run_each_robot_has_its_own(law: str, tmp_path: Path) -> None:
     no_trouble_in_logs(tmp_path / "out")
 
 
+@pytest.mark.long
 def test_a_sweep_varies_the_law_and_its_settings(tmp_path: Path) -> None:
     handfast(tmp_path, "sweep delta --over control.law=spring,consensus --duration 2s --jobs 2 --out laws")
     assert sorted(row["control.law"] for row in rows(tmp_path / "laws")) == ["consensus", "spring"]
@@ -155,12 +157,14 @@ BEFORE = {
 """What is said of each mistake before anything drives."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", BEFORE)
 def test_check_says_each_mistake_in_one_line(law: str, tmp_path: Path) -> None:
     said = handfast(tmp_path, f"check delta --set control.law=mistakes:{law}", status=2)
     assert said.count(BEFORE[law]) == 1, said
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["Constructor", "Signature"])
 @pytest.mark.parametrize("command", ["simulate", "run", "sweep --over control.kd=1,2"])
 def test_with_a_mistake_nothing_is_driven(command: str, law: str, tmp_path: Path) -> None:
@@ -188,6 +192,7 @@ def test_one_that_fails_in_mid_drive_is_one_fault_of_one_robot(tmp_path: Path) -
     assert reason.startswith("Robot 2 ended the drive in state fault")
 
 
+@pytest.mark.long
 def test_one_that_is_too_slow_is_named_by_check_and_by_the_verdict(tmp_path: Path) -> None:
     said = handfast(
         tmp_path,

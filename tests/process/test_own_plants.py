@@ -113,6 +113,7 @@ def test_in_run_each_is_a_process_and_stands_where_it_was_after_a_restart(tmp_pa
     no_trouble_in_logs(tmp_path / "out")
 
 
+@pytest.mark.long
 def test_a_sweep_varies_its_settings_and_the_plant(tmp_path: Path) -> None:
     drag = "sweep delta --set robot_defaults.plant=drag --duration 2s --jobs 2"
     handfast(tmp_path, f"{drag} --over robot_defaults.drag.drag=0,20 --out drags")
@@ -134,12 +135,14 @@ BEFORE = {
 """What is said of each mistake before anything drives."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plant", BEFORE)
 def test_check_says_each_mistake_in_one_line(plant: str, tmp_path: Path) -> None:
     said = handfast(tmp_path, f"check delta --set robot_defaults.plant=mistakes:{plant}", status=2)
     assert said.count(BEFORE[plant]) == 1, said
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plant", ["Constructor", "Signature", "Section"])
 @pytest.mark.parametrize("command", ["simulate", "run", "sweep --over control.kd=1,2"])
 def test_with_a_mistake_nothing_is_driven(command: str, plant: str, tmp_path: Path) -> None:
@@ -148,6 +151,7 @@ def test_with_a_mistake_nothing_is_driven(command: str, plant: str, tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("command", "status"), [("simulate", 2), ("run", 1)])
 def test_unchecked_the_start_is_refused_with_the_same_line(command: str, status: int, tmp_path: Path) -> None:
     arguments = f"{command} pair --no-check --no-report --duration 2s --out out --set robot.1.plant=mistakes:"
@@ -162,6 +166,7 @@ LATER = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["simulate", "run"])
 @pytest.mark.parametrize("plant", LATER)
 def test_one_that_fails_in_mid_drive_is_one_fault_of_one_robot(
@@ -177,6 +182,7 @@ def test_one_that_fails_in_mid_drive_is_one_fault_of_one_robot(
         assert log.read_text().count(line) == 1, "said once"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["simulate", "run"])
 def test_one_that_is_too_slow_is_named(command: str, tmp_path: Path) -> None:
     arguments = f"{command} pair --set robot.1.plant=mistakes:Slow --no-report --duration 4s --out out"

@@ -13,7 +13,7 @@ from agent.messages.key_expressions import ROLES
 from tests.process.harness import Command, environment, last_lines
 from tests.realtime_here import need_realtime, without
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.long, pytest.mark.alone]
 ROBOTS = (1, 2)
 OPTIONS = ("--no-report", "--set", "network.base_port=21560", "--set", "process.realtime=true")
 

@@ -126,6 +126,7 @@ def test_a_drive_is_recorded_and_a_killed_recorder_loses_a_second(tmp_path: Path
     assert rebuild(tmp_path / "merged").metrics == metrics
 
 
+@pytest.mark.long
 def test_two_recorders_do_not_share_a_folder(tmp_path: Path) -> None:
     with placed(make_fleet("pair", *CALM)) as fleet, Recorded(fleet, tmp_path / "r") as robots:
         robots.start_recorder(1)

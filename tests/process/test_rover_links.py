@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.time import NS_PER_S
@@ -83,6 +84,7 @@ def drives_for(fleet: Rovers, seconds: float) -> None:
         assert all(state.healthy and state.driving for state in states), fleet.told()
 
 
+@pytest.mark.long
 def test_two_rovers_drive_at_the_speeds_of_their_ports(tmp_path: Path) -> None:
     slow = ("robot.1.mavlink.baud=57600", "robot.1.mavlink.state_rate_hz=10")
     fast = ("robot.2.mavlink.baud=921600", "robot.2.mavlink.state_rate_hz=25")
@@ -106,6 +108,7 @@ def test_two_rovers_drive_at_the_speeds_of_their_ports(tmp_path: Path) -> None:
         no_trouble_in_logs(fleet.folder)
 
 
+@pytest.mark.long
 def test_what_is_wrong_with_a_port_is_told_until_it_drives(tmp_path: Path) -> None:
     with on_ports(tmp_path / "r", "robot.1.mavlink.baud=57600", rover1=115_200, rover2=57_600) as (
         fleet,
@@ -201,6 +204,7 @@ class Router:
             each.close()
 
 
+@pytest.mark.long
 def test_behind_a_router_with_two_ground_stations(tmp_path: Path) -> None:
     placed = place(pair_of_rovers())
     fleet, extra = placed.fleet, Reservation(ADDRESS, BASE_PORT + 2048, 3)

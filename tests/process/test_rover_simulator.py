@@ -159,6 +159,7 @@ def test_it_listens_and_sends_and_drives_and_ends(start: Callable[..., Simulator
     assert "rover 7: ending (SIGINT)" in simulator.said
 
 
+@pytest.mark.long
 def test_one_tcp_client_at_a_time_and_a_reboot_sends_it_away(start: Callable[..., Simulator]) -> None:
     simulator = start(f"--listen=tcp:{ADDRESS}:0", "--warm", "--boot=4")
     port = simulator.port("tcp")
@@ -176,6 +177,7 @@ def test_one_tcp_client_at_a_time_and_a_reboot_sends_it_away(start: Callable[...
     assert "rover 1: reboots" in simulator.said
 
 
+@pytest.mark.long
 def test_a_crash_ends_the_process(start: Callable[..., Simulator]) -> None:
     simulator = start(f"--listen=udp:{ADDRESS}:0", "--warm", "--hand-over")
     with udp(simulator.port("udp")) as client:
@@ -194,6 +196,7 @@ def test_a_crash_ends_the_process(start: Callable[..., Simulator]) -> None:
     assert "rover 1: crashed: a setpoint that is not finite" in simulator.said
 
 
+@pytest.mark.long
 def test_it_ends_with_its_parent(tmp_path: Path) -> None:
     command = [*SERVER, f"--listen=udp:{ADDRESS}:0", "--exit-with-parent"]
     starter = "import subprocess, sys; p = subprocess.Popen(sys.argv[1:]); print(p.pid, flush=True); p.wait()"
@@ -247,6 +250,7 @@ def test_it_is_given_a_key_by_the_command_and_signs(start: Callable[..., Simulat
     assert "rover 1: signs from now on" in simulator.said
 
 
+@pytest.mark.long
 def test_giving_keys_ends_with_ctrl_c(tmp_path: Path) -> None:
     command, variables = signing(tmp_path, f"tcp:{ADDRESS}:9", "--make-keys")
     with subprocess.Popen(
@@ -261,6 +265,7 @@ def test_giving_keys_ends_with_ctrl_c(tmp_path: Path) -> None:
         assert process.stderr.read() == ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

@@ -9,6 +9,8 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
+
 from agent.common.time import NS_PER_S
 from agent.messages.types import HandState, PlantState, Status, Wrench
 from agent.supervision.stop_latch import AWAITED
@@ -131,6 +133,7 @@ def test_a_bridge_that_is_killed_and_started_again(tmp_path: Path) -> None:
         all_well(fleet)
 
 
+@pytest.mark.long
 def test_a_vehicle_that_is_switched_off_and_on(tmp_path: Path) -> None:
     with rovers(tmp_path / "r") as (fleet, _), fleet.operator(2) as operator:
         operator.connect()
@@ -164,6 +167,7 @@ def test_a_vehicle_that_is_switched_off_and_on(tmp_path: Path) -> None:
         all_well(fleet)
 
 
+@pytest.mark.long
 def test_a_link_that_is_cut_and_comes_back(tmp_path: Path) -> None:
     with rovers(tmp_path / "r", relayed=2) as (fleet, relay), fleet.operator(2) as operator:
         assert relay is not None
@@ -187,6 +191,7 @@ def test_a_link_that_is_cut_and_comes_back(tmp_path: Path) -> None:
         all_well(fleet)
 
 
+@pytest.mark.long
 def test_a_jammed_gps_is_told_and_ends_in_the_operators_hands(tmp_path: Path) -> None:
     with rovers(tmp_path / "r") as (fleet, _), fleet.operator(2) as operator:
         operator.connect()
@@ -204,6 +209,7 @@ def test_a_jammed_gps_is_told_and_ends_in_the_operators_hands(tmp_path: Path) ->
         all_well(fleet)
 
 
+@pytest.mark.long
 def test_second_bridges_on_one_vehicle(tmp_path: Path) -> None:
     """They report why they do nothing, whichever way they come to the vehicle; the first drives on."""
     with rovers(tmp_path / "r") as (fleet, _):

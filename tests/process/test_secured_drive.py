@@ -231,6 +231,7 @@ def drove_as_if_alone(fleet: SecuredRobots, folder: Path, other: Path) -> None:
     assert_same_way(folder, other / "out", DRIVE_S, AGREE_M)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("overrides", [(f"supervision.deadman_s={DEADMAN_S}",)])
 def test_old_heartbeats_keep_nobody_driving(fleet: SecuredRobots) -> None:
     """Who has overheard an operator cannot stand in for it once it is gone."""

@@ -288,6 +288,7 @@ def test_strangers_are_not_let_in(fleet: Fleet, kind: str, why: str) -> None:
     assert key_expressions.alive(FLEET, 2, "agent") not in fleet.one.alive
 
 
+@pytest.mark.long
 def test_who_listens_at_an_address_that_is_not_his(fleet: Fleet) -> None:
     """Somebody who has taken a robot's address, with the certificate of another robot, is not talked to."""
     listening = f"tls/127.0.0.3:{fleet.port + 1}"
@@ -299,6 +300,7 @@ def test_who_listens_at_an_address_that_is_not_his(fleet: Fleet) -> None:
             assert line.startswith(f"the connection to {listening}: its certificate is for other addresses")
 
 
+@pytest.mark.long
 def test_connections_that_say_nothing_keep_nobody_out(fleet: Fleet) -> None:
     silent = [socket.create_connection((ADDRESS, fleet.port)) for _ in range(40)]
     try:
@@ -376,6 +378,7 @@ def test_an_operator_gives_orders_and_is_no_robot(fleet: Fleet) -> None:
     assert fleet.one.got == [key_expressions.stop(FLEET)]
 
 
+@pytest.mark.long
 def test_a_robot_tells_again_what_an_operator_said_and_nothing_else(fleet: Fleet) -> None:
     folder = fleet.make(of_operator(FLEET))
     stop = encode(Stop(1, time.time_ns(), "for a test"))
@@ -408,6 +411,7 @@ def test_who_is_none_of_the_fleet_is_told_nothing(fleet: Fleet) -> None:
     fleet.end()
 
 
+@pytest.mark.long
 def test_a_flood_of_what_is_refused(fleet: Fleet) -> None:
     """Neither the honest nor the log suffer."""
     robot_2 = security(fleet.folder / "robot-2", of_robot(FLEET, 2))
@@ -424,6 +428,7 @@ def test_a_flood_of_what_is_refused(fleet: Fleet) -> None:
     assert sum("refused" in what for what in fleet.one.told) <= 4  # two kinds, and again at the end
 
 
+@pytest.mark.long
 def test_messages_without_end_take_no_memory(fleet: Fleet) -> None:
     """Who has a robot's key and sends what is far too large fills nobody's memory while it comes in."""
     own = key_expressions.beacon(FLEET, 2)

@@ -14,7 +14,7 @@ from deploy.analysis.lattice import lattice
 from tests.process.harness import Command, children, last_lines, running, wait_for
 from tests.process.test_run import assert_complete
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.long, pytest.mark.alone]
 NETWORK = ("--set", "network.base_port=21800")
 ROBOTS = 26
 ALONE = 7

@@ -6,6 +6,8 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
+
 from agent.common.time import NS_PER_S
 from agent.messages.types import Status, Wrench
 from tests.process.fleet_harness import Robots, all_ready, robots
@@ -30,6 +32,7 @@ def restart(fleet: Robots, robot: int, role: str) -> int:
     return now_ns
 
 
+@pytest.mark.long
 def test_the_only_neighbour_is_killed_and_comes_back(tmp_path: Path) -> None:
     """Who hears nobody holds at once; who starts again has the mission from the other one, and both go on."""
     with robots(tmp_path / "r", "pair") as fleet:

@@ -51,6 +51,7 @@ def routers_of(command: Command) -> list[int]:
     return [pid for pid, text in children(command.process.pid).items() if "agent.runtime.router" in text]
 
 
+@pytest.mark.long
 @pytest.mark.alone
 def test_a_fleet_behind_two_routers_drives_as_it_does_in_virtual_time(tmp_path: Path) -> None:
     two = ("--set", 'network.routers=["10.0.0.1:7447", "10.0.0.2:7447"]', "--duration", f"{DRIVE_S:g}")
@@ -86,6 +87,7 @@ def test_a_router_that_dies_ends_the_run_and_no_robot_drives_on(tmp_path: Path) 
     assert re.search(r"Router 1 ended at \d+\.\d s \(killed by SIGKILL\)\.", command.err), command.told()
 
 
+@pytest.mark.long
 def test_a_router_that_stands_is_what_is_named(tmp_path: Path) -> None:
     """Not its robots' machine, whose processes run on time, nor agents that would be gone."""
     rate = "--set", "fleet.rate_hz=10"
@@ -137,6 +139,7 @@ def drive_on(fleet: Robots) -> None:
         fleet.first(from_ns, Status, robot, lambda m: m.state == "running", f"robot {robot} drives")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("more", [(), LARGE], ids=["small", "large"])
 def test_one_router_is_enough_and_without_any_all_hold(tmp_path: Path, more: tuple[str, ...]) -> None:
     slow = ("control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5", "fleet.rate_hz=25")
@@ -187,6 +190,7 @@ class Unbatched(Robots):
         self.routers.close()
 
 
+@pytest.mark.long
 def test_behind_a_router_that_makes_no_batches_each_robot_is_heard_by_itself(tmp_path: Path) -> None:
     slow = ("control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5", "fleet.rate_hz=25")
     with placed(triangle(ROUTED, *slow, *LARGE)) as here, Unbatched(here, tmp_path / "r") as fleet:

@@ -75,6 +75,7 @@ def test_the_page_shows_any_moment(address: str, run: Path, tmp_path: Path) -> N
         ready(page)
 
 
+@pytest.mark.long
 def test_a_page_that_stands_still_draws_nothing(address: str, tmp_path: Path) -> None:
     with opened(tmp_path) as page:
         page.goto(address)
@@ -91,6 +92,7 @@ def test_a_page_that_stands_still_draws_nothing(address: str, tmp_path: Path) ->
         assert page.evaluate("handfast.drawings") == 1
 
 
+@pytest.mark.long
 def test_a_click_on_what_happened_goes_there(address: str, tmp_path: Path) -> None:
     with opened(tmp_path) as page:
         page.goto(address)
@@ -100,6 +102,7 @@ def test_a_click_on_what_happened_goes_there(address: str, tmp_path: Path) -> No
         expect(page.locator("#robots tr.chosen td").first).to_have_text("3")
 
 
+@pytest.mark.long
 def test_a_link_leads_to_the_moment(address: str, tmp_path: Path) -> None:
     with opened(tmp_path) as page:
         page.goto(f"{address}#t=7.50")
@@ -110,6 +113,7 @@ def test_a_link_leads_to_the_moment(address: str, tmp_path: Path) -> None:
         assert page.evaluate("location.hash") == "#t=7.520"
 
 
+@pytest.mark.long
 def test_it_plays_as_fast_as_it_is_told(address: str, tmp_path: Path) -> None:
     with opened(tmp_path) as page:
         page.goto(address)
@@ -120,6 +124,7 @@ def test_it_plays_as_fast_as_it_is_told(address: str, tmp_path: Path) -> None:
         expect(page.locator("#play")).to_have_text("play")
 
 
+@pytest.mark.long
 def test_a_page_whose_server_is_gone_says_so(run: Path, tmp_path: Path) -> None:
     with Command(tmp_path / "view", "view", str(run), "--no-browser") as command:
         found = wait_for(lambda: re.search(r"http://\S+", command.out), "an address", report=command.told)
@@ -133,6 +138,7 @@ def test_a_page_whose_server_is_gone_says_so(run: Path, tmp_path: Path) -> None:
             expect(page.locator("#problem")).to_contain_text("The server that gives this recording is gone")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (420, "dark")])
 def test_nothing_is_wider_than_the_screen(address: str, tmp_path: Path, width: int, scheme: str) -> None:
     with opened(tmp_path, width, 850, scheme) as page:

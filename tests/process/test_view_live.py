@@ -198,6 +198,7 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
     assert recording.resumes
 
 
+@pytest.mark.long
 def test_a_body_that_is_not_heard_any_more_is_shown_where_it_was_seen_last(tmp_path: Path) -> None:
     with driving(tmp_path / "run", "pair", 60) as (name, run):
         with viewed(tmp_path / "view", name) as (where, _), opened(tmp_path) as page:
@@ -225,6 +226,7 @@ def test_a_body_that_is_not_heard_any_more_is_shown_where_it_was_seen_last(tmp_p
     assert dist(hand, (lost["x"], lost["y"])) < 0.5
 
 
+@pytest.mark.long
 def test_a_server_that_is_killed_changes_nothing_for_the_robots(tmp_path: Path) -> None:
     with driving(tmp_path / "run", "pair", 60) as (name, run):
         with viewed(tmp_path / "view", name) as (where, view), opened(tmp_path, may_say=GONE) as page:
@@ -239,6 +241,7 @@ def test_a_server_that_is_killed_changes_nothing_for_the_robots(tmp_path: Path) 
     assert {stop.reason for stop in recording.stops} == {"interrupted"}
 
 
+@pytest.mark.long
 def test_nothing_can_be_ordered_where_it_is_only_to_be_read(tmp_path: Path) -> None:
     with driving(tmp_path / "run", "pair", 60) as (name, run):
         with viewed(tmp_path / "view", name, "--read-only") as (where, _), opened(tmp_path) as page:
@@ -265,6 +268,7 @@ def test_without_its_token_a_page_is_told_nothing(tmp_path: Path) -> None:
         run.wait()
 
 
+@pytest.mark.long
 def test_a_run_is_viewed_live_and_then_its_recording(tmp_path: Path) -> None:
     arguments = ("run", "pair", "--duration", "6", "--view", "--out", "out", "--no-report", *NETWORK, *BUSY)
     with Command(tmp_path, *arguments) as command, opened(tmp_path) as page:
@@ -278,6 +282,7 @@ def test_a_run_is_viewed_live_and_then_its_recording(tmp_path: Path) -> None:
         assert command.wait() in (0, 1)
 
 
+@pytest.mark.long
 def test_a_mission_is_started_from_the_page(tmp_path: Path) -> None:
     settings = ("fleet.rate_hz=25", "control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5")
     with all_ready(triangle(*settings), tmp_path / "r") as fleet:

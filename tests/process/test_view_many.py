@@ -22,7 +22,7 @@ from tests.process.chromium import opened
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs
 from tests.process.test_view_live import NETWORK, click_on, first_order, shown, viewed
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.long, pytest.mark.alone]
 
 ROBOTS = 45
 SLOWLY = (*BUSY, "--set", "fleet.rate_hz=10")

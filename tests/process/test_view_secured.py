@@ -79,6 +79,7 @@ def test_browsers_of_other_machines_come_by_tls_and_token(fleet: SecuredRobots, 
         assert command.wait() == 130
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("listen", "says"),
     [

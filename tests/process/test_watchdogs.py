@@ -21,6 +21,7 @@ from tests.process.harness import measured, no_trouble_in_logs
 AT_REST = 0.02
 MOVING = ('trajectory.kind="line"', "trajectory.velocity_mps=[0.3,0.2]")
 """A formation that goes on moving, so that a robot that does not brake shows."""
+FROZEN_S = [pytest.param(0.6, id="link_kept"), pytest.param(1.6, id="lease_over", marks=pytest.mark.long)]
 
 
 def assert_only(all_robots: Robots, *killed: tuple[int, str]) -> None:
@@ -86,7 +87,7 @@ def test_agent_killed_its_plant_brakes(tmp_path: Path) -> None:
         assert_only(all_robots, (2, "agent"))
 
 
-@pytest.mark.parametrize("frozen_s", [0.6, 1.6], ids=["link_kept", "lease_over"])
+@pytest.mark.parametrize("frozen_s", FROZEN_S)
 def test_agent_frozen_its_plant_brakes_and_all_goes_on(tmp_path: Path, frozen_s: float) -> None:
     with robots(tmp_path / "r", "pair", *MOVING) as all_robots:
         all_robots.drive()
@@ -124,7 +125,7 @@ def test_plant_killed_its_agent_says_fault(tmp_path: Path) -> None:
         all_robots.wait(lambda: (state := all_robots.plant(2)) and state.driving, "the new plant drives")
 
 
-@pytest.mark.parametrize("frozen_s", [0.6, 1.6], ids=["link_kept", "lease_over"])
+@pytest.mark.parametrize("frozen_s", FROZEN_S)
 def test_plant_frozen_its_agent_says_fault_and_all_goes_on(tmp_path: Path, frozen_s: float) -> None:
     with robots(tmp_path / "r", "pair", *MOVING) as all_robots:
         all_robots.drive()
@@ -144,6 +145,7 @@ def test_plant_frozen_its_agent_says_fault_and_all_goes_on(tmp_path: Path, froze
         assert_only(all_robots)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ahead_s", [3600.0, -3600.0, 0.135])
 def test_a_clock_that_is_set_between_the_starts_of_a_plant_and_its_agent(tmp_path: Path, ahead_s: float):
     """Robot 1's plant starts while the clock shows another time than when all others do."""

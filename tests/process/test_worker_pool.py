@@ -12,6 +12,8 @@ from deploy.console.data_files import ROOT
 from tests.process.dying_work import DIES, DIES_ONCE, FORKS, HANGS, STARTS
 from tests.process.harness import running, wait_for
 
+pytestmark = pytest.mark.long
+
 RUNS = (0, DIES_ONCE, DIES, STARTS, FORKS, 6, 7)
 
 
