@@ -97,12 +97,8 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
             "running.heartbeat",
             "hold a fleet's dead-man's switch: it drives while this command runs",
         ),
-        Command("reshape", "running.reshape", "give a running fleet another formation or trajectory"),
-        Command("join", "running.join", "give a robot in reserve a place in a running fleet's formation"),
-        Command("leave", "running.leave", "take a robot out of a running fleet's formation"),
-        Command("replace", "running.replace", "give a robot's place and edges to one in reserve"),
         Command(
-            "remove", "running.remove", "say that the body of a silent robot has been carried off the field"
+            "change", "running.change", "change a running fleet: a robot joins or leaves, another formation"
         ),
         Command("faults", "running.faults", "let links of a running fleet fail on purpose, and heal them"),
     ),
@@ -207,8 +203,11 @@ def _asked(arguments: Sequence[str]) -> str:
     if asked != arguments[0] or asked in (names := [command.name for command in COMMANDS]):
         return asked
     from agent.common.wording import did_you_mean, show  # here: `--help` does without
+    from deploy.commands.running.change import CHANGES
 
-    question = did_you_mean(asked, names, most=MEANT_MAX)
+    written = {name: name for name in names} | {change: f"change {change}" for change in CHANGES}
+    known = [asked] if asked in written else written
+    question = did_you_mean(asked, known, written.__getitem__, most=MEANT_MAX)
     hint = f"{question} " if question else ""
     raise Error(f"there is no command {show(asked)}: {hint}`handfast --help` lists all")
 

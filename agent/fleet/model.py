@@ -121,8 +121,8 @@ class Fleet:
     orders: tuple[OrderSection, ...] = field(
         default=(),
         metadata=about(
-            "What the operator does during the drive, at given times. By hand: `handfast join`, `leave`, "
-            "`replace`, `remove`, `reshape`, `stop`, `resume`.",
+            "What the operator does during the drive, at given times. By hand: `handfast change`, `stop`, "
+            "`resume`.",
             key="order",
         ),
     )

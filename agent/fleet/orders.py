@@ -1,7 +1,6 @@
 """``[[order]]`` of a fleet file: what its operator does at times of the drive; its checks (PURE).
 
-The same can be ordered by hand: ``handfast join``, ``leave``, ``replace``, ``remove``, ``reshape``, ``stop``,
-``resume``.
+The same can be ordered by hand: ``handfast change join`` and so on, ``stop``, ``resume``.
 Whether an order can be carried out depends on those before it: `deploy.orders.mission_editing` says so.
 """
 

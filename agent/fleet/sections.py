@@ -411,7 +411,7 @@ class Robot(Body):
     )
     reserve: bool = setting(
         False,
-        "It is there but has no place in the formation until it joins (`[[order]]`, `handfast join`).",
+        "It is there but has no place in the formation until it joins (`[[order]]`, `handfast change join`).",
     )
 
     @property

@@ -1,7 +1,7 @@
 """What an operator orders of a fleet, and the newest orders that were heard of anybody (PURE).
 
 `handfast run` and `simulate` carry out the fleet file's ``[[order]]`` with it, and commands such as
-``handfast join`` theirs. Times are wall-clock nanoseconds.
+``handfast change`` theirs. Times are wall-clock nanoseconds.
 """
 
 from __future__ import annotations

@@ -67,11 +67,11 @@ def commanded(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], 
                 ("faults", "set", name, "--link", "1->2", "--loss", "10%", "--for", f"{RULED_S:g}s"),
                 FAULT_S,
             ),
-            (("reshape", name, "--scale", "1.1"), RESHAPED_S),
-            (("leave", name, "--robot", f"{robots}"), AFTER_S),
+            (("change", "reshape", name, "--scale", "1.1"), RESHAPED_S),
+            (("change", "leave", name, "--robot", f"{robots}"), AFTER_S),
         ):
             at_s = time.time()
-            given.append((words[0], at_s, *command(*words)))
+            given.append((" ".join(words[: words.index(name)]), at_s, *command(*words)))
             time.sleep(max(0.0, at_s + then_s - time.time()))
 
     out = folder / name

@@ -85,7 +85,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_kind_of_command_is_there() -> None:
     shown = {step.command for step in STEPS}
     assert {"run", "check", "simulate", "report", "export", "faults", "new", "sweep", "preflight"} <= shown
-    assert {"join", "leave", "reshape", "stop", "resume"} <= shown
+    assert {"change", "stop", "resume"} <= shown
 
 
 @pytest.mark.parametrize("step", STEPS, ids=named)

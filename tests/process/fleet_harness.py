@@ -352,8 +352,9 @@ class Robots:
 
     def command(self, name: str, *arguments: str) -> Command:
         """`handfast NAME` for this fleet, as another process; it goes on, and is ended by leaving it."""
-        folder = self.folder / f"{name}-{secrets.token_hex(4)}"
-        return Command(folder, name, str(self.fleet_file), *arguments)
+        words = name.split()
+        folder = self.folder / f"{words[0]}-{secrets.token_hex(4)}"
+        return Command(folder, *words, str(self.fleet_file), *arguments)
 
     def told_by(self, name: str, *arguments: str) -> tuple[int, str]:
         """The same to its end, with the bus at work: exit status and standard output."""

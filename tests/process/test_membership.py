@@ -69,7 +69,7 @@ def test_orders_to_a_run_from_other_processes(tmp_path: Path) -> None:
             ("leave", name, "--robot", "6"),
             ("replace", name, "--robot", "1", "--by", "6"),
         ):
-            out = ordered(tmp_path, *order)
+            out = ordered(tmp_path, "change", *order)
             assert "\n7 of 7 acknowledged\n" in out, out
         assert run.wait(90.0) == 0, run.told()
     folder = tmp_path / "out"
@@ -141,7 +141,7 @@ def test_no_coordinator(tmp_path: Path) -> None:
         fleet.drive()
         assert fleet.mission is not None
         before = fleet.mission.version
-        with fleet.command("join", "--robot", "4", "--edges", "2,3") as commander:
+        with fleet.command("change join", "--robot", "4", "--edges", "2,3") as commander:
             fleet.wait(lambda: max(fleet.versions()) > before, "an agent has the order")
             commander.process.kill()
             commander.process.wait()
@@ -166,7 +166,7 @@ def test_a_body_is_removed_and_comes_back(tmp_path: Path) -> None:
     """Only once its robot is silent; nobody tells of it any more, and it is there again when it is heard."""
     with all_ready(triangle(), tmp_path / "r") as fleet:
         fleet.drive()
-        with fleet.command("remove", "--robot", "3") as refused:
+        with fleet.command("change remove", "--robot", "3") as refused:
             assert refused.wait() == 2, refused.told()
             assert refused.err == (
                 "handfast: cannot be done: the agent of robot 3 is heard: only the body of one whose "
@@ -182,20 +182,20 @@ def test_a_body_is_removed_and_comes_back(tmp_path: Path) -> None:
             return [robot for robot, beacon in last.items() if 3 in [row.robot for row in beacon.silent]]
 
         fleet.wait(lambda: telling() == [1, 2, 4], "all tell of the silent one")
-        status, out = fleet.told_by("remove", "--robot", "3")
+        status, out = fleet.told_by("change remove", "--robot", "3")
         assert status == 0, out
         assert out.startswith("robot 3 has been removed: at "), out
         assert "\n3 of 3 acknowledged\n" in out, out
         assert "robot 3: has been removed\n" in out
         fleet.wait(lambda: telling() == [], "nobody tells of it")
-        status, out = fleet.told_by("join", "--robot", "3", "--edges", "1,2")
+        status, out = fleet.told_by("change join", "--robot", "3", "--edges", "1,2")
         assert (status, out) == (2, "")
 
         started_ns = time.time_ns()
         for role in key_expressions.ROLES:
             fleet.start(3, role)
         fleet.first(started_ns, Status, 3, lambda m: m.state == "standby", "it is back, without a place")
-        status, out = fleet.told_by("join", "--robot", "3", "--edges", "1,2")
+        status, out = fleet.told_by("change join", "--robot", "3", "--edges", "1,2")
         assert status == 0, out
         mission = agreed(fleet)
         assert mission.note == "robot 3 joins (edges to 1 and 2)"
@@ -212,8 +212,8 @@ def test_two_operators_at_once(tmp_path: Path) -> None:
         fleet.drive()
         scales = ("1.3", "1.6")
         with (
-            fleet.command("reshape", "--scale", scales[0]) as one,
-            fleet.command("reshape", "--scale", scales[1]) as other,
+            fleet.command("change reshape", "--scale", scales[0]) as one,
+            fleet.command("change reshape", "--scale", scales[1]) as other,
         ):
             both = one, other
             fleet.wait(lambda: all(each.process.poll() is not None for each in both), "both end")
@@ -253,7 +253,7 @@ def test_ctrl_c_in_the_middle_of_a_change(tmp_path: Path) -> None:
     with Command(tmp_path, *arguments) as run:
         run.wait_for_line(r"(?m)^ +[2-9]\.\d s ")
         pids = [*run.children()]
-        out = ordered(tmp_path, "reshape", name, "--scale", "2", "--over", "20s")
+        out = ordered(tmp_path, "change", "reshape", name, "--scale", "2", "--over", "20s")
         told = re.search(r"at (\d+\.\d) s, over 20\.0 s", out)
         assert told is not None, out
         at = int(float(told[1])) + 2

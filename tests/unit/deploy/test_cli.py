@@ -73,24 +73,24 @@ def test_a_fleet_of_simulated_robots_has_nothing_to_check(capsys: pytest.Capture
     [
         ("stop", "--reason", "x"),
         ("resume",),
-        ("join", "--robot", "7", "--edges", "3,5"),
-        ("leave", "--robot", "4"),
-        ("replace", "--robot", "3", "--by", "7"),
-        ("remove", "--robot", "3", "--robot", "7"),
-        ("reshape", "--scale", "1.5"),
+        ("change join", "--robot", "7", "--edges", "3,5"),
+        ("change leave", "--robot", "4"),
+        ("change replace", "--robot", "3", "--by", "7"),
+        ("change remove", "--robot", "3", "--robot", "7"),
+        ("change reshape", "--scale", "1.5"),
         ("heartbeat",),
     ],
 )
 def test_there_is_nobody_to_order(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     command, *options = arguments
-    assert main([command, "no-such-fleet-runs", *options]) == 2
+    assert main([*command.split(), "no-such-fleet-runs", *options]) == 2
     assert 'no fleet of the name "no-such-fleet-runs" runs here' in capsys.readouterr().err
 
 
 def test_a_reshaping_must_change_something(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reshape", "delta", "--over", "5s"]) == 2
+    assert main(["change", "reshape", "delta", "--over", "5s"]) == 2
     assert capsys.readouterr().err == ("handfast: reshape changes nothing: give --scale, --from or --set\n")
-    assert main(["reshape", "delta", "--from", "no-such-fleet"]) == 2
+    assert main(["change", "reshape", "delta", "--from", "no-such-fleet"]) == 2
     assert "no bundled fleet of that name" in capsys.readouterr().err
 
 
@@ -210,6 +210,8 @@ def test_without_a_command_it_says_what_to_begin_with(capsys: pytest.CaptureFixt
         ("sim", "did you mean simulate? "),
         ("re", ""),
         ("repot", "did you mean report or export? "),
+        ("join", "did you mean change join? "),
+        ("reshape", "did you mean change reshape? "),
         ("help", ""),
         ("", ""),
     ],
