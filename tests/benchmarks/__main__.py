@@ -1,7 +1,7 @@
 """``python -m tests.benchmarks [NAME ...]``: runs benchmarks and prints their figures beside the targets.
 
 Figures are never asserted: the exit status is 0 unless a benchmark could not run. What this machine cannot do
-(test hosts need root) is left out of all of them, and said.
+(no compiled form, for example) is left out, and said.
 """
 
 from __future__ import annotations
@@ -23,40 +23,17 @@ from tests.benchmarks.processes import BenchmarkError, NotHereError
 
 NAMES: Final = (
     "cpu",
-    "scaling",
     "tick",
     "forms",
-    "silent",
     "startup",
     "reactions",
-    "soak",
-    "realtime",
-    "realtime_hour",
     "virtual_time",
-    "load",
     "links",
     "robustness",
     "random_starts",
-    "membership",
     "crowd",
     "swaps",
-    "step_response",
-    "rovers",
-    "rover_starts",
-    "rover_failures",
-    "bridge",
     "recording",
-    "view",
-    "view_in_browser",
-    "hosts",
-    "admission",
-    "stop_under_flood",
-    "attack_memory",
-    "many_hosts",
-    "deaf_links",
-    "many",
-    "commands",
-    "event_sending",
 )
 LOAD_QUIET: Final = 0.5
 
@@ -66,7 +43,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; all without any")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds")
     parser.add_argument("--count", type=int, metavar="N", help="random starts (default: as each has it)")
-    parser.add_argument("--minutes", type=float, metavar="M", help="how long to soak (default: 10)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     return parser
 
@@ -119,7 +95,7 @@ def main() -> int:
     try:
         for name in options.names or NAMES:
             try:
-                result, record[name] = _run(name, Options(options.quick, options.count, options.minutes))
+                result, record[name] = _run(name, Options(options.quick, options.count))
             except NotHereError as error:
                 print(f"{name}: not run: {error}", file=sys.stderr)
                 record[name] = {"not_run": str(error)}

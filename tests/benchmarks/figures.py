@@ -59,7 +59,6 @@ class Options:
 
     quick: bool = False
     count: int | None = None
-    minutes: float | None = None
 
 
 def number(value: float) -> str:

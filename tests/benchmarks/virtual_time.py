@@ -1,8 +1,5 @@
 """`handfast simulate` against real time: delta, its loop alone and the whole command, and large lattices,
 which nobody can have as processes: what a second of a robot takes should not grow with the fleet.
-
-Beside it what other simulators take to bring as many robots from the same starts to where these end, in as
-many steps (`other_simulators`); none of them has agents, links and plants.
 """
 
 from __future__ import annotations
@@ -18,15 +15,11 @@ from typing import Final, NamedTuple
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
-from agent.messages.codec import decode
-from agent.messages.types import PlantState
 from deploy.analysis.lattice import lattice
 from deploy.console.arguments import fleet_path
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, number, spread
-from tests.benchmarks.other_simulators import Task, measured
-from tests.benchmarks.processes import BenchmarkError, environment, handfast
-from tests.benchmarks.soak import rss_mb
+from tests.benchmarks.processes import BenchmarkError, environment, handfast, pss_mb
 
 LOOP: Final = 80.0
 """Times real time, of the delta's loop alone."""
@@ -107,25 +100,9 @@ def growth() -> Figure:
     sizes = []
     for _ in range(GROWTH_FIRST + GROWTH_RUNS):
         loop(fleet)
-        sizes.append(rss_mb(os.getpid()))
+        sizes.append(pss_mb(os.getpid()))
     more_mb = (sizes[-1] - sizes[GROWTH_FIRST - 1]) / GROWTH_RUNS
     return Figure("a process grows with each run of 4 s by", more_mb, "MB", GROWTH_MB)
-
-
-def task(fleet: Fleet) -> Task:
-    """For other simulators: the robots of a fleet from their starts to where they end."""
-    ends: dict[int, tuple[float, float]] = {}
-
-    def sink(_: int, key: str, payload: bytes) -> None:
-        message = decode(payload)
-        if type(message) is PlantState:
-            ends[message.robot] = message.x, message.y
-
-    Simulation(fleet, sink).run()
-    starts = [(robot.x_m, robot.y_m) for robot in fleet.robots]
-    steps = round(fleet.fleet.duration_s * fleet.fleet.rate_hz)
-    goals = [ends[robot] for robot in fleet.ids]
-    return Task(starts, goals, fleet.control.max_speed_mps, 1.0 / fleet.fleet.rate_hz, steps)
 
 
 def delta(repetitions: int) -> list[Figure]:
@@ -162,22 +139,9 @@ def delta(repetitions: int) -> list[Figure]:
     return found
 
 
-def others(ours: float) -> tuple[list[Figure], list[str]]:
-    """Other simulators with the delta's task, beside `ours`: robot-seconds a second of a core."""
-    what = task(resolved(load_fleet(fleet_path("delta"))))
-    took, lacking = measured(what)
-    figures = []
-    for each in took:
-        theirs = what.robot_s / each.cpu_s
-        share = f"{number(ours / theirs)} of ours to one of theirs; ends {each.off_m:.2f} m off at most"
-        figures.append(Figure(f"{each.name}: the same", theirs, note=share))
-    return figures, lacking
-
-
 def run(options: Options) -> Result:
     result = Result(delta(3 if options.quick else 7))
-    figures, result.details = others(result.figures[-1].value)
-    result.figures += [*figures, growth()]
+    result.figures.append(growth())
     fleet = load_fleet(fleet_path("lattice45"))
     duration_s = 10.0 if options.quick else fleet.fleet.duration_s
     took_s = command("lattice45", "--no-report", "--duration", str(duration_s))
