@@ -47,7 +47,7 @@ DRIVES := slip or in_run or mid_drive or supervision
 WAITING := -n 2 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(abspath $(JUNIT))/$(1).xml)
 
-.PHONY: help demo test test-long test-compiled check lint format bench docs lock setup compiled clean FORCE
+.PHONY: help demo test test-long test-compiled check lint format chaos bench docs lock setup compiled clean FORCE
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | \
@@ -91,6 +91,9 @@ lint: $(VENV)/.dev ## ruff, mypy --strict, import-linter
 format: $(VENV)/.dev ## let ruff lay out the code and repair what it can
 	$(PY) -m ruff check --fix .
 	$(PY) -m ruff format .
+
+chaos: $(VENV)/.dev ## drive random scenarios in virtual time (ARGS='--scenarios 1000 --seed 7')
+	$(PY) -m tests.chaos $(ARGS)
 
 bench: $(VENV)/.dev ## benchmarks
 	$(PY) -m tests.benchmarks

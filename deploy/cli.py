@@ -76,11 +76,6 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
             "local.sweep",
             "drive the fleet many times over a grid of its fields, in virtual time, on all cores",
         ),
-        Command(
-            "chaos",
-            "local.chaos",
-            "drive random scenarios with faults, orders and obstacles, and judge each by every oracle",
-        ),
     ),
     "watch, stop and change a running fleet": (
         Command("list", "running.list_fleets", "say which fleets run here or are up, and how to stop each"),

@@ -30,7 +30,7 @@ from deploy.console.wording import robots, speed_limit
 
 _ROUNDING: Final = 1e-9
 MARGIN_M: Final = 0.05
-"""With so much more than the lag asks for, `handfast chaos` finds no pair below the safe distance."""
+"""With this margin beyond what the lag asks for, `make chaos` finds no pair below the safe distance."""
 
 
 def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:

@@ -1,1 +1,1 @@
-"""Campaigns beyond this machine: runs of a sweep or of chaos on the workers of a Dask cluster."""
+"""Campaigns beyond this machine: runs of a sweep on the workers of a Dask cluster."""

@@ -131,7 +131,7 @@ def reason(host: HostSection, said: str) -> str:
         (
             r"Host key verification failed|No .* host key is known",
             f"its host key is not known yet: log in once by hand ({by_hand(host)}) and compare it, or give "
-            "--accept-new-host-keys, which `up`, `sweep` and `chaos` take",
+            "--accept-new-host-keys, which `up` and `sweep` take",
         ),
         (r"Could not resolve hostname", "nobody knows that name: give its address"),
         (r"Connection refused", "it is there, but no ssh server answers on that port"),

@@ -22,11 +22,6 @@ ROOTS: Final = (
     "deploy.cluster.on_worker",
     "deploy.cluster.worker_process",
     "deploy.sweep.run",
-    # What `deploy.commands.local.chaos.Scenarios` imports; the rest of that module is the command's.
-    "deploy.chaos.draw",
-    "deploy.chaos.report",
-    "deploy.chaos.run",
-    "deploy.chaos.shrink",
     "plant.plugin",
     *(kind.virtual.partition(":")[0] for kind in KINDS.values()),
 )

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from agent.supervision.state_machine import TRANSITIONS
-from deploy.chaos.report import NOT_DRAWN
-from deploy.chaos.run import drive
+from tests.chaos.report import NOT_DRAWN
+from tests.chaos.run import drive
 
 KEPT = Path(__file__).parent / "kept"
 DRAWN = sorted((KEPT / "drawn").glob("*.toml"))

@@ -1,7 +1,4 @@
-"""Chaos with real processes: kills, starts, pauses and a partition that a seed draws; every oracle holds.
-
-`handfast chaos` does the same in virtual time, a thousand times over; here the processes are real.
-"""
+"""Kills, starts, pauses and a partition of real processes, drawn from a seed: every oracle holds."""
 
 from __future__ import annotations
 

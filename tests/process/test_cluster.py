@@ -135,19 +135,6 @@ def test_after_ctrl_c_nothing_is_driven_any_more(lasting: DaskProcesses, tmp_pat
     wait_for(lambda: not driving(), "no run is under way", STATUS_S, lasting.told)
 
 
-@pytest.mark.long
-def test_chaos_says_the_same(lasting: DaskProcesses, tmp_path: Path) -> None:
-    said = []
-    for more in ((), ("--cluster", lasting.address)):
-        with Command(
-            tmp_path, "chaos", "--profile", "scale", "--count", "1", "--out", "out", *more
-        ) as command:
-            assert command.wait(STATUS_S) == 0, command.told()
-        said.append(command.out)
-    assert said[0] == said[1]
-    assert said[0].endswith("driving\n")
-
-
 def test_a_law_of_others_goes_along(
     lasting: DaskProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

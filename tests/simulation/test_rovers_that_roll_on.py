@@ -19,11 +19,11 @@ from agent.control.peers.rolling import ROLL_ERROR, rolled, rolls_of
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
-from deploy.chaos.run import drive
 from deploy.console.data_files import FLEETS
 from deploy.simulate.judged import drive as simulate
 from deploy.simulate.simulation import Simulation
 from plant.backend import VirtualBody
+from tests.chaos.run import drive
 from tests.rover_drive import driven
 
 DURATION_S = 14.0

@@ -16,10 +16,10 @@ import pytest
 from agent.common.quantities import Vector
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
-from deploy.chaos.dice import Dice, Tables
-from deploy.chaos.run import scenario_text
 from deploy.simulate.judged import drive
 from deploy.verdict.run_result import RunResult
+from tests.chaos.dice import Dice, Tables
+from tests.chaos.text import scenario_text
 
 SCENES: Final = Path(__file__).parent / "scenes"
 NUMBERS: Final = range(20)

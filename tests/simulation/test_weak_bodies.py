@@ -9,9 +9,9 @@ import pytest
 from agent.common.quantities import Vector
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
-from deploy.chaos.run import scenario_text
 from deploy.simulate.judged import drive
 from deploy.verdict.run_result import RunResult
+from tests.chaos.text import scenario_text
 
 RING = [(1.5 * cos(k * pi / 3.0), 1.5 * sin(k * pi / 3.0)) for k in range(6)]
 TRIANGLE = [(0.0, 0.0), (-1.5, 0.7), (-1.5, -0.7)]

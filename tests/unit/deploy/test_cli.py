@@ -317,7 +317,7 @@ def test_what_is_said_to_a_stream_that_is_closed_goes_nowhere(closed: int, tmp_p
 
 @pytest.mark.parametrize(
     "arguments",
-    [("run", "delta"), ("simulate", "delta"), ("export", "run"), ("sweep", "run", "delta"), ("chaos",)],
+    [("run", "delta"), ("simulate", "delta"), ("export", "run"), ("sweep", "run", "delta")],
 )
 def test_a_place_that_is_empty_is_no_default(
     arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]

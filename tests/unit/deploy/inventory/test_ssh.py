@@ -49,7 +49,7 @@ def test_what_it_gives_is_given():
          "ssh: connect to host a port 22: Connection timed out", "it does not answer"),
         ("@ WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED! @\nHost key for [10.0.0.7]:2222 has changed "
          "and you have requested strict checking.", "(ssh-keygen -R '[10.0.0.7]:2222')"),
-        ("Host key verification failed.", "--accept-new-host-keys, which `up`, `sweep` and `chaos` take"),
+        ("Host key verification failed.", "--accept-new-host-keys, which `up` and `sweep` take"),
         ("No ED25519 host key is known for 10.0.0.1 and you have requested strict checking.\n"
          "Host key verification failed.", "not known yet"),
         ("@@@\n@  WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED!     @\nHost key verification failed.",

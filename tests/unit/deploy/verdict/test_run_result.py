@@ -8,12 +8,12 @@ import pytest
 
 from deploy import cli
 from deploy.analysis import analysis
-from deploy.chaos.run import drive
 from deploy.console.arguments import fleet_text
 from deploy.console.data_files import FLEETS
 from deploy.sweep.plan import Question, make_plan
 from deploy.sweep.run import PASSED, execute
 from deploy.verdict.run_result import RunResult
+from tests.chaos.run import drive
 from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.simulated_run import TRIO
 from tests.unit.deploy.synthetic_run import in_formation, messages

@@ -1,4 +1,4 @@
-"""Random choices from a seed, the same on every machine and in every version of Python (PURE)."""
+"""Random choices from a seed, the same on every machine and in every version of Python."""
 
 from __future__ import annotations
 
@@ -9,38 +9,42 @@ from agent.common.random_streams import stream, uniform
 
 T = TypeVar("T")
 Tables = dict[str, Any]
-"""Of a fleet file, as TOML has them."""
+"""Tables of a fleet file, as a TOML parser returns them."""
+Choice = Sequence[tuple[T, float]]
+"""Items with their weights."""
+Range = tuple[float, float]
 
 
 class Dice:
-    """Draws one after the other from the stream that `key` names; another key is another stream."""
+    """Draws from the stream that `key` names. Different keys give independent streams."""
 
     def __init__(self, *key: int | str) -> None:
         self._stream = stream("dice", *key)
         self._count = 0
 
     def share(self) -> float:
-        """Uniform in [0, 1)."""
+        """Return a number uniform in [0, 1)."""
         self._count += 1
         return uniform(self._stream, self._count)
 
     def between(self, low: float, high: float, digits: int = 3) -> float:
-        """Uniform in [low, high], rounded to so many digits: a text that is written has no more."""
+        """Return a number uniform in [low, high], rounded to `digits` decimal places."""
         return round(low + (high - low) * self.share(), digits)
 
     def whole(self, low: int, high: int) -> int:
-        """Uniform in low..high, both included."""
+        """Return an integer uniform in low..high, both included."""
         return low + int((high - low + 1) * self.share())
 
     def chance(self, probability: float) -> bool:
+        """Return True with this probability."""
         return self.share() < probability
 
     def pick(self, items: Sequence[T]) -> T:
-        """One of `items`, which must not be empty."""
+        """Return one of `items`, which must not be empty."""
         return items[int(len(items) * self.share())]
 
-    def weighted(self, items: Sequence[tuple[T, float]]) -> T:
-        """One of the first elements, by the weights that are the second."""
+    def weighted(self, items: Choice[T]) -> T:
+        """Return one of the items, each as often as its weight says."""
         left = self.share() * sum(weight for _, weight in items)
         for item, weight in items:
             left -= weight
@@ -49,7 +53,7 @@ class Dice:
         return items[-1][0]
 
     def some(self, items: Sequence[T], count: int) -> list[T]:
-        """`count` of `items`, none twice, in their order."""
+        """Return `count` of `items` in their order, none twice."""
         left = list(range(len(items)))
         chosen = sorted(left.pop(self.whole(0, len(left) - 1)) for _ in range(min(count, len(items))))
         return [items[index] for index in chosen]

@@ -1,7 +1,7 @@
-"""A scenario that fails, made smaller: parts are left out for as long as what was violated still is.
+"""Shrink a scenario that fails: leave parts out as long as the same oracle is still violated.
 
-Zeller's delta debugging, over the parts of a fleet file instead of over lines: orders, rules, obstacles,
-robots with all that names them, settings, time.
+This is Zeller's delta debugging on the parts of a fleet file instead of lines: orders, rules, obstacles,
+robots with everything that names them, settings, time.
 """
 
 from __future__ import annotations
@@ -12,28 +12,29 @@ from copy import deepcopy
 from typing import Any, Final
 
 from agent.fleet.model import FleetError
-from deploy.chaos.dice import Tables
-from deploy.chaos.run import CRASH, Outcome, drive, scenario_text
 from deploy.simulate.worker_pool import GoOn
+from tests.chaos.dice import Tables
+from tests.chaos.run import CRASH, Outcome, drive
+from tests.chaos.text import scenario_text
 
 RUNS_MAX: Final = 120
 LISTS: Final = (("order",), ("faults", "rule"), ("obstacle",))
 _SETTINGS: Final = ("control", "robot_defaults", "supervision", "avoidance", "faults", "formation", "fleet")
 _NEEDED: Final = ("name", "edges", "offsets", "safe_distance_m", "rule", "duration_s")
 _AFTER_S: Final = 0.5
-"""A shorter drive ends so long after what was violated."""
+"""Time from the violation to the end of a shortened drive."""
 _CALM: Final = {"kind": "hold"}
 
 
 def shrink(tables: Tables, first: Outcome, go_on: GoOn, runs_max: int = RUNS_MAX) -> tuple[Tables, Outcome]:
-    """The smallest scenario that was found within so many runs, and what came of it.
+    """Return the smallest scenario found within `runs_max` drives, and its outcome.
 
     Args:
-        tables: a scenario in which something is violated.
-        first: what came of that.
+        tables: a scenario in which an oracle is violated.
+        first: its outcome.
 
     Raises:
-        deploy.simulate.worker_pool.Abandoned: `go_on` said no.
+        deploy.simulate.worker_pool.Abandoned: `go_on` returned False.
     """
     search = _Search(tables, first, go_on, runs_max)
     before = None
@@ -58,7 +59,7 @@ class _Search:
         self._wanted = first.violations[0].oracle
 
     def _try(self, candidate: Tables) -> bool:
-        """Drives a candidate; True when it is as bad, and then it is the smallest so far."""
+        """Drive a candidate. Keep it and return True if the same oracle is violated in it."""
         if self.left <= 0 or candidate == self.tables:
             return False
         self.left -= 1
@@ -67,16 +68,14 @@ class _Search:
         except (FleetError, ValueError):
             return False  # not a scenario
         if self._wanted not in outcome.oracles or not outcome.oracles <= self._known | {self._wanted}:
-            return False  # another fault is another scenario
+            return False  # a different fault
         if self._wanted == CRASH and outcome.violations[0].message != self.outcome.violations[0].message:
             return False
         self.tables, self.outcome = candidate, outcome
         return True
 
-    # ------------------------------------------------------------------ what is left out
-
     def shorten(self) -> None:
-        """Ends the drive soon after what was violated."""
+        """End the drive soon after the violation."""
         found = [each.t_s for each in self.outcome.violations if each.oracle == self._wanted]
         end_s = round(min(found) + _AFTER_S, 1)
         if 0.5 < end_s < self.tables["fleet"]["duration_s"] - 0.2:
@@ -85,7 +84,7 @@ class _Search:
             self._try(candidate)
 
     def leave_out(self, path: tuple[str, ...]) -> None:
-        """Leaves out entries of an array of tables: all, halves, and so on down to single ones."""
+        """Leave out entries of an array of tables: all, halves, and so on down to single ones."""
         size = len(_entries(self.tables, path))
         while size >= 1 and self.left:
             start = 0
@@ -97,13 +96,13 @@ class _Search:
             size //= 2
 
     def without_robots(self) -> None:
-        """Leaves out robots, one at a time, with all that names them."""
+        """Leave out robots, one at a time, with everything that names them."""
         for robot in [row["id"] for row in self.tables["robot"]]:
             if len(self.tables["robot"]) > 1:
                 self._try(_tidied(without_robot(self.tables, robot)))
 
     def without_settings(self) -> None:
-        """Settings that are left out have their defaults."""
+        """Leave out settings, so that they have their defaults."""
         if "geofence" in self.tables:
             self._try({key: value for key, value in self.tables.items() if key != "geofence"})
         for table in _SETTINGS:
@@ -114,7 +113,7 @@ class _Search:
                     self._try(_tidied(candidate))
 
     def calm(self) -> None:
-        """The formation stays where it is."""
+        """Have the formation stay where it is."""
         self._try({**self.tables, "trajectory": dict(_CALM)})
 
 
@@ -127,17 +126,14 @@ def _entries(tables: Tables, path: tuple[str, ...]) -> list[Tables]:
 
 
 def _tidied(tables: Tables) -> Tables:
-    """Without tables that have nothing left in them."""
+    """Return the tables without empty ones."""
     if not tables.get("faults", {}).get("rule", True):
         del tables["faults"]["rule"]
     return {key: value for key, value in tables.items() if value not in ({}, [])}
 
 
-# --- without a robot ------------------------------------------------------------------------------
-
-
 def without_robot(tables: Tables, robot: int) -> Tables:
-    """The tables without a robot, its place, its edges, and what is ordered of it or done to it."""
+    """Return the tables without a robot, its place, its edges, and orders and rules that name it."""
     out = deepcopy(tables)
     formation = out["formation"]
     members = [row["id"] for row in out["robot"] if not row.get("reserve")]
@@ -163,7 +159,7 @@ def _orders_without(orders: list[Tables], robot: int) -> Iterator[Tables]:
         if order.get("robots") == []:
             continue
         if "formation" in order:
-            # Its places are those of the members of then, which other orders may have changed.
+            # The places are those of the members at that time, which other orders may have changed.
             if "offsets" in order["formation"]:
                 continue
             edges = [edge for edge in order["formation"].get("edges", ()) if robot not in edge]
@@ -174,7 +170,7 @@ def _orders_without(orders: list[Tables], robot: int) -> Iterator[Tables]:
 
 
 def _names(rule: Tables, robot: int) -> bool:
-    """Whether a rule is about a robot; one about all of them, or about groups, is not."""
+    """Return True if a rule names a robot."""
     if rule.get("robot") == robot:
         return True
     text = f"{rule.get('link', '')} {rule.get('partition', '')}"

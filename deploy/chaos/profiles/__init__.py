@@ -1,1 +1,0 @@
-"""Kinds of scenarios: each module draws the fleet files of one."""
