@@ -112,9 +112,6 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
     ),
     "drive a fleet on its own computers": (
         Command("keys", "hosts.keys", "make and renew the certificates that a secured fleet trusts"),
-        Command(
-            "firewall", "hosts.firewall", "print a firewall for hosts, against strangers that flood ports"
-        ),
         Command("router", "hosts.router", "run a Zenoh router for a fleet, until Ctrl-C"),
         Command("up", "hosts.up", "bring a fleet up on its hosts"),
         Command("drive", "running.drive", "drive a fleet that is up, and report"),

@@ -19,9 +19,6 @@ PORT_MIN: Final = 1024
 
 PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
 
-PROTECTED_ADDRESS: Final = "127.0.0.1"
-"""Where processes listen that a proxy stands before."""
-
 MESH_ROBOTS_MAX: Final = 24
 """More robots are too many to be linked each to each: links grow with the square (docs/architecture.md)."""
 
@@ -34,9 +31,6 @@ CROWD_LEASE_MS: Final = 4000
 """A process from which nothing comes on a link for so long is gone: frozen or out of reach; one that ends is
 seen to at once. In a crowd its threads wait for a processor for longer than the first, and each link that is
 ended for that has a router make all anew that was declared over it."""
-
-_NOT_BEFORE_IT: Final = {PROTECTED_ADDRESS, "localhost", "0.0.0.0", "[::]"}
-"""Addresses that no proxy can have beside `PROTECTED_ADDRESS`, on the same ports."""
 
 _ADDRESS: Final = r"[A-Za-z0-9]([A-Za-z0-9._-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:.]{2,45}\]"
 
@@ -148,12 +142,6 @@ class NetworkSection:
         "`handfast run`, where there are no hosts.",
         example='["rover1", "rover2"]',
     )
-    admission: Literal["proxy", "off"] = setting(
-        "off",
-        '`"proxy"`: a process before each robot\'s ports lets connections through by whose they are, so that '
-        "nobody without a certificate keeps others out, however often he tries (docs/admission.md). It takes "
-        "some of the robot's processor for each message of others.",
-    )
     link_timeout_s: float = setting(
         0.4,
         "A link between robots on which nothing comes for so long while it is opened is tried anew, and one "
@@ -190,8 +178,6 @@ def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
     if hosts is None or robots is None:
         return  # they have problems of their own
     _check_addresses(hosts, reader)
-    if values.get("network", {}).get("admission") == "proxy":
-        _check_admission(values["network"], hosts, robots, reader)
     names = [host.get("name") for host in hosts]
     given = [row["host"] for row in robots if row.get("host") is not None]
     for number, row in enumerate(robots, 1):
@@ -207,35 +193,6 @@ def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
         elif host not in names and None not in names:
             there_are = f"hosts are {', '.join(names)}" if names else "there is none"
             reader.add(place, f"there is no [host.{host}]; {there_are}")
-
-
-def _check_admission(
-    network: Mapping[str, Any],
-    hosts: Sequence[Mapping[str, Any]],
-    robots: Sequence[Mapping[str, Any]],
-    reader: Reader,
-) -> None:
-    """A proxy tells who somebody is by the TLS handshake, and needs an address of its own."""
-    has_hosts = any(row.get("host") is not None for row in robots)
-    if network.get("security") == "off" or (network.get("security") is None and not has_hosts):
-        reader.add(
-            "network.admission",
-            'needs network.security = "mtls": who has no certificate is told by that',
-        )
-        return
-    places = [
-        (f"host.{host.get('name')}.listen", host.get("listen") or host.get("address") or host.get("name"))
-        for host in hosts
-    ]
-    if not has_hosts:
-        places.append(("network.address", network.get("address")))
-    for place, address in places:
-        if address in _NOT_BEFORE_IT:
-            reader.add(
-                place,
-                f"{show(address)} leaves the proxy of network.admission no address of its own: write the one "
-                "that others reach",
-            )
 
 
 def _check_addresses(hosts: Sequence[Mapping[str, Any]], reader: Reader) -> None:

@@ -23,7 +23,6 @@ from agent.fleet.hosts import (
     CROWD_LEASE_MS,
     LEASE_MS,
     MESH_ROBOTS_MAX,
-    PROTECTED_ADDRESS,
     HostSection,
     NetworkSection,
     RecordingSection,
@@ -340,37 +339,8 @@ class Fleet:
         """As `agent_near`, of its plant."""
         return self._endpoint(robot_id, 1, self._near(robot_id))
 
-    def admission_doors(self, robot_id: int) -> tuple[tuple[str, str], ...]:
-        """Where the proxy before a robot's agent and plant listens, and where it passes connections on to.
-
-        Nothing where there is none. `FleetError` when there is no such robot.
-        """
-        if not self.has_admission:
-            return ()
-        outside, inside = self._listening(robot_id), self._near(robot_id)
-        return tuple(
-            (self._endpoint(robot_id, which, outside), self._endpoint(robot_id, which, inside))
-            for which in (0, 1)
-        )
-
-    def router_doors(self, number: int) -> tuple[tuple[str, str], ...]:
-        """As `admission_doors`, of the proxy before a router on a host."""
-        for router in self.routers:
-            host = next((each for each in self.hosts if each.name == router.host), None)
-            if router.number == number and host is not None and self.has_admission:
-                outside = f"{host.listen or host.address or host.name}:{router.where.rpartition(':')[2]}"
-                return ((f"{self._scheme}/{outside}", f"{self._scheme}/{router.listens}"),)
-        return ()
-
-    @property
-    def has_admission(self) -> bool:
-        """Whether a proxy stands before each robot's ports."""
-        return self.network.admission == "proxy"
-
     def _listens(self, robot_id: int, which: int) -> tuple[str, ...]:
         address, near = self._listening(robot_id), self._near(robot_id)
-        if self.has_admission:
-            return (self._endpoint(robot_id, which, near),)
         addresses = (address,) if address == near or address in ANY_ADDRESS else (address, near)
         return tuple(self._endpoint(robot_id, which, each) for each in addresses)
 
@@ -380,8 +350,6 @@ class Fleet:
 
     def _near(self, robot_id: int) -> str:
         address = self._listening(robot_id)
-        if self.has_admission:
-            return PROTECTED_ADDRESS
         if self.host_of(robot_id) is None or LOOPBACK.fullmatch(address):
             return address
         return ANY_ADDRESS.get(address, "127.0.0.1")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from agent.fleet.hosts import PROTECTED_ADDRESS, HostSection, NetworkSection, names_host
+from agent.fleet.hosts import HostSection, NetworkSection, names_host
 from agent.fleet.sections import Robot
 from agent.security.identity import MAIN
 
@@ -54,9 +54,7 @@ def routers_of(
         if names_host(each):
             host = sections[each]
             address = host.address or host.name
-            # Its proxy has the address, as a robot's has (`agent.admission`).
-            listens = PROTECTED_ADDRESS if network.admission == "proxy" else host.listen or address
-            found.append(RouterPlace(number, f"{address}:{port}", f"{listens}:{port}", each))
+            found.append(RouterPlace(number, f"{address}:{port}", f"{host.listen or address}:{port}", each))
         else:
             found.append(RouterPlace(number, each, each, None))
     return tuple(found)

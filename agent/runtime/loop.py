@@ -16,7 +16,6 @@ from agent.runtime.order_store import OrderStore
 from agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.transport.bus import Bus
-from agent.transport.listening_gate import Gate
 from agent.transport.presence import Watches
 
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
@@ -25,8 +24,6 @@ _STOP: Final = head(Stop)
 STALL_NS: Final = NS_PER_S // 10
 SETTLE_NS: Final = NS_PER_S // 500
 """A process that has stood for longer than the first takes what came meanwhile the second later."""
-GATE_PERIOD_NS: Final = NS_PER_S // 5
-"""How often is looked for who knocks, ns."""
 LINKS_PERIOD_NS: Final = 2 * NS_PER_S // 5
 """How often is looked for links over which nothing comes, ns."""
 SAY_PERIOD_NS: Final = NS_PER_S
@@ -99,7 +96,6 @@ def loop(
     log: Log,
     service: SystemdNotifier,
     keeper: OrderKeeper | None = None,
-    gate: Gate | None = None,
     names: Mapping[str, str] | None = None,
     ticks_from: Callable[[int], Deadlines] | None = None,
 ) -> None:
@@ -115,8 +111,7 @@ def loop(
     ticks = Ticks(node, clock.now_ns()) if ticks_from is None else ticks_from(clock.now_ns())
     end_by_ns: int | None = None
     # Not in one tick: each of them touches much that has left the caches since it was looked at last.
-    gate_due_ns = ticks.due_ns
-    links_due_ns, parent_due_ns = gate_due_ns + GATE_PERIOD_NS // 2, gate_due_ns + 3 * GATE_PERIOD_NS // 2
+    links_due_ns, parent_due_ns = ticks.due_ns + LINKS_PERIOD_NS // 4, ticks.due_ns + 3 * LINKS_PERIOD_NS // 4
     say_due_ns = 0
     said = "", ""
     watches = Watches(bus)
@@ -169,10 +164,6 @@ def loop(
         service.lives(start_ns)
         if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
             return
-        if now_ns >= gate_due_ns:
-            gate_due_ns = now_ns + GATE_PERIOD_NS
-            if gate is not None and (knocked := gate.look(now_ns)):
-                log(knocked)
         if now_ns >= links_due_ns:
             links_due_ns = now_ns + LINKS_PERIOD_NS
             look_at_links(node, bus, now_ns, names or {}, log)

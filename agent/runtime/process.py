@@ -32,7 +32,6 @@ from agent.security.credentials import CredentialsError, NotValidNowError
 from agent.security.identity import of_robot
 from agent.security.private_files import KeyFileError
 from agent.transport.bus import Bus, BusError, is_opening
-from agent.transport.listening_gate import Gate
 from agent.transport.sealed_bus import bus_for
 
 if TYPE_CHECKING:
@@ -233,11 +232,8 @@ def _run(
                 appear(node, bus, clock, keeper)
                 started()
                 service.ready()
-                with Gate(len(fleet.robots)) as gate:
-                    if gate.trouble:
-                        log(gate.trouble)
-                    names = names_of(fleet, options.robot)
-                    loop(node, bus, clock, shutdown, log, service, keeper, gate, names, ticks_from)
+                names = names_of(fleet, options.robot)
+                loop(node, bus, clock, shutdown, log, service, keeper, names, ticks_from)
                 _say_rejected(node, log)
                 bus.leave()
                 return True

@@ -58,7 +58,7 @@ class RealTime:
         self._section, self._role, self._log = section, role, log
         if not _IS_LINUX:
             return
-        _raise_limit(resource.RLIMIT_RTPRIO)
+        raise_limit(resource.RLIMIT_RTPRIO)
         _lock_memory()
         for thread in _threads():
             if section.cpus:
@@ -100,7 +100,7 @@ def _schedule(thread: int, policy: int, priority: int) -> None:
         os.sched_setscheduler(thread, policy, os.sched_param(priority))
 
 
-def _raise_limit(which: int) -> int:
+def raise_limit(which: int) -> int:
     """Raises a limit of this process as far as it may; gives it."""
     _, hard = resource.getrlimit(which)
     with suppress(OSError, ValueError):
@@ -114,7 +114,7 @@ def _lock_memory() -> None:
 
     Not where only so much may be locked: memory that it gets beyond that would then be refused to it.
     """
-    unlimited = _raise_limit(resource.RLIMIT_MEMLOCK) == resource.RLIM_INFINITY
+    unlimited = raise_limit(resource.RLIMIT_MEMLOCK) == resource.RLIM_INFINITY
     if unlimited or is_capable(CAP_IPC_LOCK):
         ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
 

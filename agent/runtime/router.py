@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import resource
 import socket
 import sys
 import time
@@ -25,6 +26,7 @@ from agent.messages.key_expressions import alive, robot_of_alive
 from agent.runtime.batcher import Batcher
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.loop import DIALLED, Log
+from agent.runtime.realtime import raise_limit
 from agent.runtime.shutdown import Shutdown, add_parent_argument
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.access_control import Security
@@ -32,7 +34,6 @@ from agent.security.credentials import CredentialsError, load
 from agent.security.identity import MAIN, of_router
 from agent.security.refusals import FILTER
 from agent.transport.bus import Bus, BusError, Router, init_log
-from agent.transport.listening_gate import Gate
 from agent.transport.sealed_bus import secured
 from agent.transport.zenoh_log import ZenohLog
 
@@ -119,6 +120,7 @@ def serve(
     Raises:
         BusError: the endpoint cannot be listened on.
     """
+    raise_limit(resource.RLIMIT_NOFILE)  # every process of the fleet has links to it
     with ExitStack() as stack:
         zenoh_log = stack.enter_context(ZenohLog())
         init_log(FILTER)
@@ -127,9 +129,6 @@ def serve(
         )
         about = f"router of {fleet.fleet.name} on {listen}{', secured' if security else ', not secured'}"
         log(about)
-        gate = stack.enter_context(Gate(len(fleet.robots)))
-        if gate.trouble:
-            log(gate.trouble)
         presence = router.watch(alive(fleet.fleet.name, "*", "*")) if talks else None
         batcher = None
         if fleet.batches_beacons:
@@ -151,8 +150,6 @@ def serve(
                     log(line)
                 for endpoint in router.look(now_ns):
                     log(f"was deaf to {endpoint or DIALLED}: link opened anew")
-                if knocked := gate.look(now_ns):
-                    log(knocked)
                 service.lives(now_ns)
             rest_ns = look_due_ns - time.monotonic_ns()
             if batcher is not None:

@@ -383,7 +383,7 @@ def units_of(fleet: str) -> dict[str, dict[str, str]]:
     masks = [f"handfast-{fleet}-{whose}*.service" for whose in ("robot-", "router")]
     files = [path.name for mask in masks for path in units_folder().glob(mask)]
     known = shown([*masks, *files])
-    pattern = re.compile(rf"handfast-{re.escape(fleet)}-(robot-\d+-[a-z]+|router(-admission)?)\.service")
+    pattern = re.compile(rf"handfast-{re.escape(fleet)}-(robot-\d+-[a-z]+|router)\.service")
     return {name: known.get(name, {}) for name in sorted({*files, *known}) if pattern.fullmatch(name)}
 
 

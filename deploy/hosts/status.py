@@ -137,17 +137,15 @@ def process_row(
 
 
 def router_rows(fleet: Fleet, host: HostSection, found: HostStatus, now_s: float) -> list[dict[str, Any]]:
-    """As `process_row`, of the processes of the router on a host."""
+    """As `process_row`, of the router on a host, if it has one."""
     name, router = fleet.fleet.name, fleet.router_on(host.name)
-    rows = []
-    for role in systemd_units.router_roles(fleet) if router is not None else ():
-        row = _row(systemd_units.router_unit_name(name, role), found)
-        row |= {"host": host.name, "role": role if role == systemd_units.ROUTER else f"router {role}"}
-        assert router is not None
-        if (ends_s := found.expiries.get(of_router(name, router.identity_name))) is not None:
-            row["certificate_days"] = _days(ends_s, now_s)
-        rows.append(row)
-    return rows
+    if router is None:
+        return []
+    row = _row(systemd_units.router_unit_name(name), found)
+    row |= {"host": host.name, "role": systemd_units.ROUTER}
+    if (ends_s := found.expiries.get(of_router(name, router.identity_name))) is not None:
+        row["certificate_days"] = _days(ends_s, now_s)
+    return [row]
 
 
 def _days(ends_s: float, now_s: float) -> float:

@@ -213,7 +213,7 @@ def command(
         systemd_units.unit_name(name, robot, role) for robot in robots for role in systemd_units.roles(fleet)
     ]
     if not options.robots and fleet.router_on(host.name) is not None:
-        units += [systemd_units.router_unit_name(name, role) for role in systemd_units.router_roles(fleet)]
+        units.append(systemd_units.router_unit_name(name))
     # What systemd says of a unit, and what its process says: by its own mark, since of a process that dies
     # the last lines are not known to be its unit's.
     matches = [f"USER_UNIT={unit}" for unit in units]

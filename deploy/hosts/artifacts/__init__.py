@@ -1,1 +1,1 @@
-"""What is put on a host: the program, plugins, units of systemd with their sandboxes, a firewall's rules."""
+"""What is put on a host: the program, plugins and units of systemd with their sandboxes."""

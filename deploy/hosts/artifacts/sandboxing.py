@@ -24,7 +24,6 @@ class Needs:
 
     Attributes:
         writes: folders that it writes to, absolute, or below the home with ``~/``.
-        hidden: what it need not even read, absolute.
         devices: drives a body that is real: it opens devices, and is found by others in the shared ``/tmp``,
             where a connection is locked (`bridges.mavlink.transport.lock`).
         others_code: runs a plugin: nobody knows what that needs of memory.
@@ -33,7 +32,6 @@ class Needs:
     """
 
     writes: Sequence[str] = ()
-    hidden: Sequence[str] = ()
     devices: bool = False
     others_code: bool = False
     others_hardware: bool = False
@@ -80,8 +78,7 @@ def namespaces(needs: Needs) -> Iterator[str]:
         yield "PrivateTmp=yes"
     # "-": a folder that somebody has removed must not keep a robot from starting.
     yield f"ReadWritePaths={' '.join(map(_optional, writes))}"
-    hidden = ["%h/.ssh", "%h/.gnupg", "%h/.config/handfast/keys", *map(_path, needs.hidden)]
-    yield f"InaccessiblePaths={' '.join(map(_optional, hidden))}"
+    yield "InaccessiblePaths=-%h/.ssh -%h/.gnupg -%h/.config/handfast/keys"
     # There the user's systemd and its bus are to be had, which would start anything outside all this.
     yield "TemporaryFileSystem=%t:ro"
     yield "BindReadOnlyPaths=%t/systemd/notify"

@@ -27,11 +27,9 @@ from deploy.processes.child import ONE_THREAD
 
 RECORDER: Final = "recorder"
 RECORDER_MODULE: Final = "agent.recorder"
-ADMISSION: Final = "admission"
-ADMISSION_MODULE: Final = "agent.admission"
 ROUTER: Final = "router"
 ROUTER_MODULE: Final = "agent.runtime.router"
-WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0, ADMISSION: 3.0, ROUTER: 3.0}
+WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0, ROUTER: 3.0}
 """A process whose loop is silent for so long is killed and started again. A recorder's disk may stall; a
 router is every robot's, and its loop is not what passes messages on."""
 RESTART_DELAY_MS: Final = 200
@@ -91,13 +89,7 @@ def places(fleet: Fleet, root: str, version: str, text: str) -> Places:
 
 def roles(fleet: Fleet) -> tuple[str, ...]:
     """Processes that each robot has, in the order of their start."""
-    more = ((RECORDER, fleet.recording.enabled), (ADMISSION, fleet.has_admission))
-    return ("plant", "agent", *(role for role, wanted in more if wanted))
-
-
-def router_roles(fleet: Fleet) -> tuple[str, ...]:
-    """Processes that a router on a host has, in the order of their start."""
-    return (ROUTER, ADMISSION) if fleet.has_admission else (ROUTER,)
+    return ("plant", "agent", RECORDER) if fleet.recording.enabled else ("plant", "agent")
 
 
 def unit_name(fleet: str, robot: int, role: str) -> str:
@@ -105,9 +97,9 @@ def unit_name(fleet: str, robot: int, role: str) -> str:
     return f"handfast-{fleet}-robot-{robot}-{role}.service"
 
 
-def router_unit_name(fleet: str, role: str = ROUTER) -> str:
-    """Name of the systemd unit of a router's process: a host has one router at most."""
-    return f"handfast-{fleet}-router{'' if role == ROUTER else f'-{role}'}.service"
+def router_unit_name(fleet: str) -> str:
+    """Name of the systemd unit of a router: a host has one at most."""
+    return f"handfast-{fleet}-router.service"
 
 
 def identifier(unit: str) -> str:
@@ -118,11 +110,10 @@ def identifier(unit: str) -> str:
 def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
     """The command line of a process."""
     kind = fleet.robot(robot).kind
-    modules = {"agent": "agent", "plant": kind.program, RECORDER: RECORDER_MODULE}
-    module = (modules | {ADMISSION: ADMISSION_MODULE})[role]
+    module = {"agent": "agent", "plant": kind.program, RECORDER: RECORDER_MODULE}[role]
     words = [f"{places.version}/bin/python", "-P", "-m", module]
     words += ["--fleet", places.fleet_file, "--robot", str(robot)]
-    if places.keys is not None and role != ADMISSION:  # which has no use for them
+    if places.keys is not None:
         words += ["--keys", places.keys]
     if role in ROLES:
         words += ["--orders", places.orders]
@@ -130,15 +121,13 @@ def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
         words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]
     if role == RECORDER:
         words += ["--folder", f"{places.recordings}/robot-{robot}"]
-    if role == ADMISSION:
-        words += ["--proven", f"{places.state}/robot-{robot}.proven.json"]
     return words
 
 
 def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
     """Text of a process's unit file."""
     name, reads = fleet.fleet.name, []
-    if places.keys is not None and role != ADMISSION:  # with another authority it gets another one as well
+    if places.keys is not None:  # with another authority it gets another one as well
         reads.append(f"{places.keys}/{of_robot(name, robot).common_name}.crt")
     words, needs = arguments(fleet, robot, role, places), _needs(fleet, robot, role, places)
     unit = unit_name(name, robot, role)
@@ -154,28 +143,18 @@ def units(fleet: Fleet, robot: int, places: Places) -> dict[str, str]:
 
 
 def router_units(fleet: Fleet, host: HostSection, places: Places) -> dict[str, str]:
-    """Texts of all unit files of the router on a host, by name; none where there is none."""
+    """Text of the unit file of the router on a host, by name; empty where there is none."""
     router = fleet.router_on(host.name)
     if router is None:
         return {}
-    name, keys = fleet.fleet.name, places.keys
-    found = {}
-    for role in router_roles(fleet):
-        module = ROUTER_MODULE if role == ROUTER else ADMISSION_MODULE
-        words = [f"{places.version}/bin/python", "-P", "-m", module, "--fleet", places.fleet_file]
-        reads, needs = [], Needs()
-        if role == ADMISSION:
-            words += ["--router", str(router.number), "--proven", f"{places.state}/router.proven.json"]
-            needs = Needs([places.state], [] if keys is None else [keys])
-        else:
-            words += ["--number", str(router.number)]
-            if keys is not None:
-                words += ["--keys", keys]
-                reads.append(f"{keys}/{of_router(name, router.identity_name).common_name}.crt")
-        unit = router_unit_name(name, role)
-        about = f"{name}: router {router.number}" + ("" if role == ROUTER else f"'s {role}")
-        found[unit] = "\n".join(_lines(unit, about, role, words, reads, needs))
-    return found
+    name, keys, reads = fleet.fleet.name, places.keys, []
+    words = [f"{places.version}/bin/python", "-P", "-m", ROUTER_MODULE, "--fleet", places.fleet_file]
+    words += ["--number", str(router.number)]
+    if keys is not None:
+        words += ["--keys", keys]
+        reads.append(f"{keys}/{of_router(name, router.identity_name).common_name}.crt")
+    unit = router_unit_name(name)
+    return {unit: "\n".join(_lines(unit, f"{name}: router {router.number}", ROUTER, words, reads, Needs()))}
 
 
 def _realtime_limits(fleet: Fleet) -> Sequence[str]:
@@ -189,8 +168,6 @@ def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:
     kind = fleet.robot(robot).kind
     if role == RECORDER:
         return Needs([f"{places.recordings}/robot-{robot}"])
-    if role == ADMISSION:
-        return Needs([places.state], [] if places.keys is None else [places.keys])
     if role == "agent":
         return Needs(
             [places.orders], others_code=fleet.control.law is not None, realtime=fleet.process.realtime

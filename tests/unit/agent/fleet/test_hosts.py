@@ -97,47 +97,6 @@ def test_a_robot_does_not_lose_its_body_with_an_address(listen: str, listens: li
     assert made.agent_endpoint(2) == "tls/10.0.0.2:7602"
 
 
-PROXY = '[network]\nadmission = "proxy"\n'
-
-
-def test_behind_a_proxy_processes_listen_on_the_loopback_and_are_reached_as_before():
-    behind = fleet(HOSTS.replace("0.0.0.0", "left.lan") + PROXY)
-    assert behind.admission_doors(1) == (
-        ("tls/10.0.0.1:7600", "tls/127.0.0.1:7600"),
-        ("tls/10.0.0.1:7601", "tls/127.0.0.1:7601"),
-    )
-    assert behind.agent_listens(2) == ("tls/127.0.0.1:7602",)
-    assert behind.plant_listens(2) == ("tls/127.0.0.1:7603",)
-    assert behind.admission_doors(2)[0] == ("tls/left.lan:7602", "tls/127.0.0.1:7602")
-    assert (behind.agent_endpoint(1), behind.agent_near(1)) == ("tls/10.0.0.1:7600", "tls/127.0.0.1:7600")
-    on_loopback = fleet(HOSTS.replace("0.0.0.0", "127.0.0.2") + PROXY)
-    assert on_loopback.agent_listens(2) == ("tls/127.0.0.1:7602",)
-    assert fleet().admission_doors(1) == ()
-
-
-@pytest.mark.parametrize(
-    ("tables", "place"),
-    [
-        (HOSTS + PROXY, "host.right.listen"),
-        (HOSTS.replace("0.0.0.0", "localhost") + PROXY, "host.right.listen"),
-        (HOSTS.replace("0.0.0.0", "[::]") + PROXY, "host.right.listen"),
-        (HOSTS + PROXY + 'security = "off"', "network.admission"),
-    ],
-)
-def test_a_proxy_needs_certificates_and_an_address_of_its_own(tables: str, place: str):
-    (found,) = problems(tables)
-    assert found.startswith(f"{place}: ")
-
-
-def test_a_proxy_before_robots_without_hosts():
-    (found,) = problems(PROXY, "", "")
-    assert found.startswith("network.admission: needs network.security")
-    (found,) = problems(PROXY + 'security = "mtls"', "", "")
-    assert found.startswith('network.address: "127.0.0.1" leaves the proxy')
-    alone = fleet(PROXY + 'security = "mtls"\naddress = "10.0.0.5"', "", "")
-    assert alone.admission_doors(1)[0] == ("tls/10.0.0.5:7600", "tls/127.0.0.1:7600")
-
-
 def test_agent_and_plant_listen_on_the_loopback_and_the_plant_dials_it(monkeypatch: pytest.MonkeyPatch):
     made = fleet()
     agent = agent_start(made, 1, RealClock(), print)

@@ -65,12 +65,3 @@ def test_endpoints_say_whether_links_are_secured() -> None:
     assert fleet(HOSTS + ROUTERS % "left" + '\nsecurity = "off"').router_endpoints == ("tcp/10.0.0.1:7604",)
     assert secured.router_on("left") is not None
     assert secured.router_on("right") is None
-
-
-def test_a_proxy_stands_before_a_router_on_a_host() -> None:
-    right = HOSTS.replace('listen = "0.0.0.0"\n', "")
-    guarded = fleet(right + ROUTERS % 'left", "a:7447' + '\nadmission = "proxy"')
-    assert guarded.routers[0].listens == "127.0.0.1:7604"
-    assert guarded.router_doors(1) == (("tls/10.0.0.1:7604", "tls/127.0.0.1:7604"),)
-    assert guarded.router_doors(2) == guarded.router_doors(3) == ()
-    assert fleet(HOSTS + ROUTERS % "left").router_doors(1) == ()

@@ -126,13 +126,13 @@ def test_units_are_compared_and_nothing_is_written(home: Path, host: HostConnect
     assert sorted(path.name for path in units(home).iterdir()) == [AGENT, STRANGER]
 
 
-def test_a_router_and_its_proxy_are_units_of_the_fleet(home: Path, host: HostConnection) -> None:
-    names = ["handfast-two-router-admission.service", "handfast-two-router.service"]
+def test_a_router_is_a_unit_of_the_fleet(home: Path, host: HostConnection) -> None:
+    names = ["handfast-two-router.service"]
     others = ["handfast-two-router-robot-1-agent.service", "handfast-two-router-router.service"]
     host.ask("units", wanted=dict.fromkeys([*names, *others], "a"))
     assert compared(host, agent="a")["unwanted"] == names, "not those of a fleet named two-router"
     show(home, 0, NeedDaemonReload="no")
-    assert sorted(host.ask("down", fleet="two")["stopped"])[-2:] == names
+    assert sorted(host.ask("down", fleet="two")["stopped"])[-1:] == names
     assert sorted(path.name for path in units(home).iterdir()) == others
 
 

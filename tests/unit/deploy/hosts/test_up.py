@@ -493,15 +493,6 @@ def test_robots_of_a_host_are_waited_for_together(world: World) -> None:
     )
 
 
-def test_a_proxy_that_fails_is_why_a_robot_is_not_heard(world: World) -> None:
-    world.fleet = replace(world.fleet, network=replace(world.fleet.network, admission="proxy"))
-    for robot in (1, 3):
-        world.come(robot, "ready")
-    world.broken.add((5, "admission"))
-    work = bring(world, timing=replace(QUICK, present_s=0.3))
-    assert ends(work)["rover1"] == (FAILED, "robot 5's admission is failed (exit-code): it is broken")
-
-
 def test_what_is_wrong_beside_robots_that_are_up_is_a_warning(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -43,17 +43,11 @@ def test_every_process_is_kept_from_what_none_needs() -> None:
         (SIMULATED, "agent", "-/r/orders"),
         (SIMULATED, "plant", "-/r/orders -/r/state"),
         (SIMULATED, "recorder", "-/r/recordings/robot-1"),
-        (SIMULATED, "admission", "-/r/state"),
         (BRIDGED, "plant", "-/r/orders -%h/.local/state/handfast -/tmp"),
     ],
 )
 def test_it_writes_to_what_is_its_own_alone(robot: int, role: str, folders: str) -> None:
     assert said(robot, role)["ReadWritePaths"] == folders
-
-
-def test_the_proxy_cannot_even_read_keys() -> None:
-    assert "-/r/keys" in said(SIMULATED, "admission")["InaccessiblePaths"].split()
-    assert "-/r/keys" not in said(SIMULATED, "agent")["InaccessiblePaths"].split()
 
 
 def test_a_bridge_opens_devices_and_is_found_by_others_who_want_its_connection() -> None:

@@ -71,20 +71,6 @@ def test_a_router_is_started_with_its_own_key() -> None:
     assert float(said["WatchdogSec"]) == systemd_units.WATCHDOG_S["router"]
 
 
-def test_a_proxy_before_a_router_has_none_of_its_keys() -> None:
-    closed = HOSTS.replace('listen = "0.0.0.0"\n', "") + ROUTERS % "right" + '\nadmission = "proxy"'
-    guarded = parse_fleet(FLEET % (closed, LEFT, RIGHT), source="here")
-    texts = router_units(guarded, guarded.hosts[1], replace(PLACES, keys="/r/fleets/two/keys"))
-    assert list(texts) == ["handfast-two-router.service", "handfast-two-router-admission.service"]
-    said = settings(texts["handfast-two-router-admission.service"])
-    assert said["ExecStart"].endswith(
-        "-m agent.admission --fleet /r/fleets/two/fleet.toml --router 1 --proven "
-        "/r/fleets/two/state/router.proven.json"
-    )
-    assert "-/r/fleets/two/keys" in said["InaccessiblePaths"]
-    assert said["Description"] == "handfast two: router 1's admission"
-
-
 def test_what_runs_can_be_read_from_the_file_again():
     text = unit(fleet(), 1, "agent", PLACES)
     found = re.search(r"^# runs: (\[.*\])$", text, re.MULTILINE)
@@ -140,19 +126,6 @@ def test_a_bridge_starts_whether_its_serial_port_is_there_or_not() -> None:
 def test_the_recorder_can_be_left_out():
     assert roles(fleet()) == ("plant", "agent", "recorder")
     assert roles(fleet("[recording]\nenabled = false")) == ("plant", "agent")
-
-
-def test_a_proxy_stands_before_a_robot_where_the_file_says_so():
-    tables = DATUM + '[network]\nadmission = "proxy"\n[host.left]\naddress = "10.0.0.1"\n'
-    left = 'host = "left"\n'
-    behind = parse_fleet(FLEET % (tables, left, left + BRIDGE), source="here")
-    assert roles(behind) == ("plant", "agent", "recorder", "admission")
-    words = arguments(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s", "/o"))
-    assert words[3:] == [
-        *("agent.admission", "--fleet", "/f", "--robot", "2", "--proven", "/s/robot-2.proven.json")
-    ]  # and no keys
-    said = settings(unit(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s", "/o")))
-    assert said["Restart"] == "always"
 
 
 def test_the_keys_are_named_not_shown():
