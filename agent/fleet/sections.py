@@ -37,6 +37,7 @@ LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
 """What ``--law NAME`` sets, by table."""
 
 REPLACED: Final[Mapping[str, str]] = {
+    "network.admission": "docs/firewall.md has rules for nftables that do the same",
     "network.budget": "`check` always says what messages take of a radio; faults.rate limits links",
     "network.budget_queue_s": "faults.limit bounds the queue of a link that faults.rate limits",
     "network.emulate_budget": "faults.rate limits links",
