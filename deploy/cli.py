@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 ROVER_SIMULATOR: Final = "rover-simulator"
 COMPLETION: Final = "completion"
 FORKS: Final = "run"
+ELSEWHERE: Final = {"list": "status", "film": "export --format gif"}
+"""Words that people look for among the commands, and the command that does what they say."""
 MEANT_MAX: Final = 3
 """So many commands are offered for one that there is not."""
 THREADS_S: Final = 1.0
@@ -69,8 +71,7 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
             "view", "local.view", "show a run, or a fleet as it drives, in the browser, with a STOP beside it"
         ),
         Command("report", "local.report", "rebuild figures, metrics and report of a run from its recording"),
-        Command("export", "local.export", "write a run's data as tables or a ROS 2 bag"),
-        Command("film", "local.film", "make a film of a run, for a slide or a README"),
+        Command("export", "local.export", "write a run as tables, a ROS 2 bag or a film"),
         Command(
             "sweep",
             "local.sweep",
@@ -78,8 +79,9 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
         ),
     ),
     "watch, stop and change a running fleet": (
-        Command("list", "running.list_fleets", "say which fleets run here or are up, and how to stop each"),
-        Command("status", "hosts.status", "say what each process of a fleet does, on its host or here"),
+        Command(
+            "status", "hosts.status", "list the fleets that run here or are up, or show each process of one"
+        ),
         Command("logs", "hosts.logs", "print what the processes of a fleet say, on their hosts or here"),
         Command("stop", "running.stop", "stop every robot, until `handfast resume`"),
         Command(
@@ -197,7 +199,7 @@ def _asked(arguments: Sequence[str]) -> str:
     from agent.common.wording import did_you_mean, show  # here: `--help` does without
     from deploy.commands.running.change import CHANGES
 
-    written = {name: name for name in names} | {change: f"change {change}" for change in CHANGES}
+    written = {name: name for name in names} | {change: f"change {change}" for change in CHANGES} | ELSEWHERE
     known = [asked] if asked in written else written
     question = did_you_mean(asked, known, written.__getitem__, most=MEANT_MAX)
     hint = f"{question} " if question else ""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 MEANING = (
     "FLEET is the name of a fleet that runs on this machine or that was brought up on hosts from here "
-    "(`handfast list`), the number of its process, the folder of its run, or a fleet file; the name of a "
+    "(`handfast status`), the number of its process, the folder of its run, or a fleet file; the name of a "
     "bundled fleet means its file where no such fleet is known."
 )
 

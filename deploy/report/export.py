@@ -43,7 +43,10 @@ from deploy.verdict.metrics import MESSAGES
 from deploy.verdict.run_result import RunResult
 
 BAG: Final = "rosbag2"
-FORMATS: Final = ("csv", "parquet", "json", BAG)
+TABLES: Final = ("csv", "parquet", "json")
+FILMS: Final = ("mp4", "gif")
+"""Formats that `deploy.report.film` writes."""
+FORMATS: Final = (*TABLES, BAG, *FILMS)
 FOLDER: Final = "export"
 
 Column = NDArray[Any] | list[str]
@@ -82,7 +85,7 @@ def export(
         MissingPackageError: no rosbags.
         FleetError: the run's fleet file is not valid.
     """
-    if format not in FORMATS:
+    if format not in (*TABLES, BAG):
         raise RecordingError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
     write = _bag_writer() if format == BAG else _tables_writer(format)
     recording = read_run(folder)

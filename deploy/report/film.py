@@ -37,10 +37,10 @@ from deploy.report.drawing.plotting import (
     styled,
     view,
 )
+from deploy.report.export import FILMS
 from deploy.report.whole_file import whole_file
 from deploy.verdict.run_result import RunResult
 
-FORMATS: Final = ("mp4", "gif")
 LONG_S: Final = 30.0
 """A drive that is longer is shown faster, so that its film takes so long, unless a speed is asked for."""
 TRAIL_S: Final = 8.0
@@ -54,11 +54,6 @@ _DPI: Final = 100
 
 class FilmError(RecordingError):
     """A film that cannot be made; the text is one line."""
-
-
-def name_for() -> str:
-    """The name of a film of the best format that this machine can write."""
-    return "film.mp4" if shutil.which(_FFMPEG) else "film.gif"
 
 
 def film(
@@ -118,12 +113,12 @@ _ENCODERS: Final = {
 def _writer(out: Path) -> Writer:
     """What writes a film of the format that the name asks for; raises as `film`."""
     kind = out.suffix.removeprefix(".").lower()
-    if kind not in FORMATS:
+    if kind not in FILMS:
         raise FilmError(f"{out}: a film is an .mp4 or a .gif; give it such a name")
     if shutil.which(_FFMPEG):
         return _by_ffmpeg
     if kind == "mp4":
-        raise FilmError(f"{out}: an mp4 needs ffmpeg (Debian, Ubuntu: apt install ffmpeg); a .gif does not")
+        raise FilmError(f"{out}: an mp4 needs ffmpeg (Debian, Ubuntu: apt install ffmpeg); a gif does not")
     return _by_pillow
 
 

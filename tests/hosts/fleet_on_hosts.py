@@ -94,8 +94,8 @@ class FleetOnHosts:
         return str(done.stdout)
 
     def listed(self) -> list[dict[str, Any]]:
-        """What `handfast list` shows."""
-        rows: list[dict[str, Any]] = json.loads(self.by_name("list", "--json"))["fleets"]
+        """What `handfast status` shows."""
+        rows: list[dict[str, Any]] = json.loads(self.by_name("status", "--json"))["fleets"]
         return rows
 
     def start(self, command: str, *arguments: str) -> subprocess.Popen[str]:

@@ -49,7 +49,7 @@ class Terminals:
 
     def listed(self) -> list[dict[str, Any]]:
         """The rows of ours: others' fleets may run here too."""
-        with self.command("list", "--json") as command:
+        with self.command("status", "--json") as command:
             assert command.wait() in (0, 1), command.told()
             fleets = json.loads(command.out)["fleets"]
         return [row for row in fleets if row["fleet"] == self.name]
@@ -157,7 +157,7 @@ def test_a_run_whose_entry_and_whose_folder_are_lost(terminals: Terminals) -> No
     said = (
         f"the run of process {damaged.process.pid} cannot be told: {entry} is damaged, or another version's"
     )
-    assert said in terminals.told("list", status=1)
+    assert said in terminals.told("status", status=1)
     assert said in terminals.told("stop", terminals.name)
     file = terminals.folder / "terminal-1" / "out" / "fleet.toml"
     file.rename(file.with_suffix(".kept"))

@@ -53,7 +53,7 @@ def _down(options: argparse.Namespace) -> int:
             try:
                 note_down(fleet, [row.host for row in rows if row.state == HOST_DONE])
             except OSError as error:
-                view.say(f"`handfast list` still shows what is down: cannot note it: {error}")
+                view.say(f"`handfast status` still shows what is down: cannot note it: {error}")
     if interrupt.count:
         return INTERRUPTED
     return PASSED if all(row.state == HOST_DONE for row in rows) else FAILED

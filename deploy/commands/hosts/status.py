@@ -1,4 +1,4 @@
-"""The command ``handfast status``: what each process of a fleet does, on its host or here, and on the bus."""
+"""The command ``handfast status``: the fleets that there are, or what each process of one fleet does."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.fleet.model import Fleet
+from agent.common.wording import printable
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError, describe, host_argument, refuse_hosts
 from deploy.console.interrupt import Interrupt
-from deploy.console.wording import FEW
+from deploy.console.wording import FEW, some
 from deploy.inventory.running import MEANING, handled
 
 if TYPE_CHECKING:
@@ -26,9 +29,12 @@ if TYPE_CHECKING:
     from deploy.analysis.silent_bodies import SilentBody
     from deploy.hosts.status import HostStatus
     from deploy.inventory.expiry import Expiry
+    from deploy.inventory.fleets_up import FleetUp
     from deploy.inventory.known_fleets import KnownFleet
+    from deploy.inventory.registry import Running
     from deploy.session.operator_session import OperatorSession
 
+HEADINGS: Final = ("fleet", "where", "robots", "since", "state", "process", "stop it with", "files")
 LISTEN_S: Final = 2.0
 HOSTS_TIMEOUT_S: Final = 60.0
 LOOK_S: Final = 0.05
@@ -38,15 +44,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast status`` takes."""
     describe(
         parser,
-        ": its unit, how often it was started again, CPU and memory "
+        ". Without FLEET: what `handfast run` and `drive` of this user drive on this machine, and what "
+        "`handfast up` has brought up on hosts and `down` has not taken down; no robot is asked. With FLEET: "
+        "for each process its unit, how often it was started again, CPU and memory "
         "(as the host says, over ssh; here, as the table of processes has them); state of its "
         "agent, age of its neighbours' messages (as it says, on the bus); version; how its host's clock "
         "stands to this one; how long certificates hold; robots that are not heard, and where the others "
         "believe them to be; a mission that is older than the last stop. "
-        f"{MEANING} Exit status: 0 all processes run and all agents are heard; 1 not all; 2 bad input; 130 "
-        "after Ctrl-C.",
+        f"{MEANING} Exit status: 0 all processes run and all agents are heard, or all fleets are listed; 1 "
+        "not all; 2 bad input; 130 after Ctrl-C.",
     )
-    parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
+    parser.add_argument("fleet", nargs="?", metavar="FLEET", help="a running fleet (default: list all)")
     host_argument(parser)
     parser.add_argument(
         "--each",
@@ -69,6 +77,8 @@ def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
 
 
 def _status(options: argparse.Namespace) -> int:
+    if options.fleet is None:
+        return _list(options)
     from agent.formation.geometry import resolved
     from deploy.analysis.silent_bodies import in_words
     from deploy.hosts.status import host_rows, print_table
@@ -252,3 +262,83 @@ def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: 
     ]
     rows += [row for host in hosts for row in router_rows(fleet, host, found[host.name], now_s)]
     return Seen(rows, found, bodies, older, expiries=expiries)
+
+
+# --- without FLEET ---------------------------------------------------------------------------
+
+
+def _list(options: argparse.Namespace) -> int:
+    if options.hosts or options.each:
+        raise InputError("--host and --each need FLEET: name the fleet that is meant")
+    from deploy.inventory.known_fleets import NONE, known, unreadable
+
+    rows, damaged = [fleet_row(fleet) for fleet in known()], unreadable()
+    if options.json:
+        print(json.dumps({"fleets": rows, "unreadable": damaged}, indent=2))
+    elif rows:
+        print(*fleet_table(rows), sep="\n")
+    else:
+        print(f"{NONE}, and none is up on hosts")
+    for line in () if options.json else damaged:
+        print(f"handfast: {line}", file=sys.stderr)
+    return FAILED if damaged else PASSED
+
+
+def fleet_row(fleet: KnownFleet) -> dict[str, Any]:
+    """What is known of a fleet, JSON values."""
+    up, runs = fleet.up, fleet.runs
+    states = [_state(run) for run in runs]
+    if up is not None:
+        lacking = [host.name for host in up.hosts if not host.complete]
+        states.append(f"up (perhaps not on {some(lacking)})" if lacking else "up")
+    return {
+        "fleet": fleet.name,
+        "hosts": fleet.hosts or None,
+        "robots": [robot.id for robot in fleet.robots] if up is None else up.robots,
+        "since": min([run.started for run in runs] + ([] if up is None else [up.since])),
+        "state": ", ".join(states),
+        "processes": [run.pid for run in runs],
+        "folder": runs[-1].folder if runs else None,
+        "source": next(filter(None, [up.source if up else "", *(run.source for run in runs)]), None),
+        "fleet_file": str(fleet.fleet_file),
+        "stop": f"handfast stop {quote(fleet.selector)}",
+        "down": None if up is None else f"handfast down {quote(_down_file(up))}",
+    }
+
+
+def _state(run: Running) -> str:
+    from deploy.processes.table import PAUSED, state_of
+
+    paused = " (PAUSED: `fg` there)" if state_of(run.pid) == PAUSED else ""
+    return f"{'driven' if run.attached else 'running'}{paused}"
+
+
+def _down_file(up: FleetUp) -> str:
+    """The file that `up` was given, while it has the hosts that it had then; else what was kept of it."""
+    with suppress(FleetError):
+        fleet = load_fleet(up.source)
+        there = {robot.host for robot in fleet.robots}
+        if fleet.fleet.name == up.name and there.issuperset(host.name for host in up.hosts):
+            return up.source
+    return str(up.fleet_file)
+
+
+def fleet_table(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """A line for each fleet, after the headings. Nothing is cut: commands are there to be copied."""
+    cells = [HEADINGS] + [
+        (
+            row["fleet"],
+            some(row["hosts"] or ["here"]),
+            str(len(row["robots"])),
+            row["since"].replace("T", " "),
+            row["state"],
+            ", ".join(map(str, row["processes"])) or "-",
+            row["stop"],
+            row["folder"] or row["source"] or row["fleet_file"],
+        )
+        for row in rows
+    ]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ["  ".join(map(str.ljust, each, widths)).rstrip() for each in cells]
+    downs = [f"take {row['fleet']} down with: {row['down']}" for row in rows if row["down"] is not None]
+    return list(map(printable, lines + downs))

@@ -87,7 +87,7 @@ def _up(options: argparse.Namespace) -> int:
 
 
 class Notes:
-    """Notes where a fleet is up, for `handfast list`; a disk that is full keeps no fleet from coming up.
+    """Notes where a fleet is up, for `handfast status`; a disk that is full keeps no fleet from coming up.
 
     Attributes:
         problems: what could not be noted, for the operator.
@@ -105,7 +105,7 @@ class Notes:
             if hosts:
                 note_up(self._fleet, self._source, hosts, complete=complete)
         except OSError as error:
-            why = f"`handfast list` does not know that it is up: cannot note it: {error}"
+            why = f"`handfast status` does not know that it is up: cannot note it: {error}"
             if why not in self.problems:
                 self.problems.append(why)
 

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="every fleet of that name, or without FLEET every one that `handfast list` shows, side by side",
+        help="every fleet of that name, or without FLEET all that `handfast status` lists, side by side",
     )
     parser.add_argument(
         "--each",
@@ -66,7 +66,7 @@ def _stopped(options: argparse.Namespace) -> int:
             raise NotRunningError(f"{NONE}, and none is up: nothing to stop")
         return max(_stop_all(fleets, options), status)
     if options.fleet is None:
-        raise InputError("stop: which fleet? Give its name, or --all; `handfast list` shows all")
+        raise InputError("stop: which fleet? Give its name, or --all; `handfast status` shows all")
     try:
         one = find(options.fleet)
     except SeveralError as error:

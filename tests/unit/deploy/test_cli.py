@@ -209,6 +209,8 @@ def test_without_a_command_it_says_what_to_begin_with(capsys: pytest.CaptureFixt
         ("re", ""),
         ("repot", "did you mean report or export? "),
         ("join", "did you mean change join? "),
+        ("list", "did you mean status? "),
+        ("film", "did you mean export --format gif? "),
         ("reshape", "did you mean change reshape? "),
         ("help", ""),
         ("", ""),

@@ -129,7 +129,7 @@ def test_the_command_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 
     parser = SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))
     monkeypatch.setattr(cli, "_parser", lambda _: parser)
-    assert cli.main(["list"]) == 130
+    assert cli.main(["status"]) == 130
 
 
 WITHIN_EXEC: Final = """
@@ -139,7 +139,7 @@ from deploy import cli
 signal.signal(signal.SIGINT, signal.default_int_handler)
 command = lambda _: exec("signal.raise_signal(signal.SIGINT)\\nwhile True: pass")
 cli._parser = lambda _: SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))
-sys.exit(cli.main(["list"]))
+sys.exit(cli.main(["status"]))
 """
 
 

@@ -135,7 +135,7 @@ def test_what_of_a_damaged_recording_is_missing_is_said(
 
 def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
-        RecordingError, match=r"^unknown format 'xlsx'; there are csv, parquet, json, rosbag2$"
+        RecordingError, match=r"^unknown format 'xlsx'; there are csv, parquet, json, rosbag2, mp4, gif$"
     ):
         export(run, "xlsx")
     (run / "empty").mkdir()

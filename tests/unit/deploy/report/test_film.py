@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from agent.messages.types import PlantState
+from deploy.cli import main
 from deploy.recording.collector import RunData
 from deploy.report import film as module
 from deploy.report.film import FilmError, film
@@ -134,3 +135,17 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FilmError, match="cannot write"):
         film(RESULT, tmp_path / "file" / "film.gif", fps=4, width_px=240)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--fps", "3"), "--speed, --fps and --width belong to --format mp4 or gif"),
+        (("--format", "gif", "--out", "a.mp4"), "--out a.mp4: the name of this film must end in .gif"),
+    ],
+)
+def test_the_command_refuses_options_that_contradict_the_format(
+    options: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "runs", *options]) == 2
+    assert capsys.readouterr().err == f"handfast: {says}\n"

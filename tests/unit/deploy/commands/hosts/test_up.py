@@ -35,5 +35,5 @@ def test_what_cannot_be_noted_is_said_once(tmp_path: Path, state: Path) -> None:
     notes.up(["right"], complete=False)
     (problem,) = notes.problems
     assert problem.startswith(
-        "`handfast list` does not know that it is up: cannot note it: [Errno 20] Not a dir"
+        "`handfast status` does not know that it is up: cannot note it: [Errno 20] Not a dir"
     )

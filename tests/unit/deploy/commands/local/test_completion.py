@@ -80,7 +80,7 @@ def test_bash_takes_the_script(folder: Path) -> None:
         (("run", "delta", "--orders", "n"), {"notes.txt"}),
         (("run", "delta", "--la"), {"--law"}),
         (("view", "r"), {"reserve", "rovers", "rovers_on_hosts", "runs"}),
-        (("film", "r"), {"runs"}),
+        (("export", "runs", "--format", "g"), {"gif"}),
         (("view", "n"), set()),
         (("sweep", "runs", "--write", "r"), set()),
         (("faults", "ap"), {"apply"}),

@@ -135,7 +135,7 @@ def test_without_a_name_nothing_is_stopped(fleets: Fleets, capsys: pytest.Captur
     with fleets.run("pair", "a", Stopping(done=True)):
         assert main(["stop"]) == 2
     assert capsys.readouterr().err == (
-        "handfast: stop: which fleet? Give its name, or --all; `handfast list` shows all\n"
+        "handfast: stop: which fleet? Give its name, or --all; `handfast status` shows all\n"
     )
     assert fleets.reasons == {}
 

@@ -1,4 +1,4 @@
-"""`handfast list`: what runs here, what is up, and what of that is not true any more."""
+"""`handfast status`: what runs here, what is up, and what of that is not true any more."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def up(tmp_path: Path, *names: str, complete: bool = True) -> Path:
 
 
 def listed(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 0) -> str:
-    assert main(["list", *arguments]) == status
+    assert main(["status", *arguments]) == status
     return capsys.readouterr().out
 
 
@@ -115,7 +115,7 @@ def test_what_is_damaged_is_said(tmp_path: Path, private: Path, capsys: pytest.C
     record.write_text("")
     with a_run(tmp_path, "pair"):
         next(private.iterdir()).write_text("{")
-        assert main(["list"]) == 1
+        assert main(["status"]) == 1
         out, err = capsys.readouterr()
         assert out == "no fleet runs here, and none is up on hosts\n"
         assert err.splitlines()[0].startswith(f"handfast: the run of process {PID} cannot be told: ")
@@ -125,5 +125,5 @@ def test_what_is_damaged_is_said(tmp_path: Path, private: Path, capsys: pytest.C
 
 def test_it_needs_none_of_the_operators_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    ran = without_the_operators_packages("list")
+    ran = without_the_operators_packages("status")
     assert (ran.returncode, ran.stdout) == (0, "no fleet runs here, and none is up on hosts\n"), ran.stderr
