@@ -22,7 +22,6 @@ def check_faults(faults: Mapping[str, Any], ids: Sequence[int], reader: Reader) 
     """Adds what is wrong with valid values that do not go together; `ids` are the fleet's robots."""
     traces = _check_traces(faults.get("traces", ()), reader)
     _check_delay(faults, "faults", traces, reader)
-    _check_replays(faults.get("replays", ()), ids, reader)
     names: dict[str, int] = {}
     for number, row in enumerate(faults.get("rules", ()), 1):
         if not row:
@@ -47,23 +46,6 @@ def _check_traces(rows: Sequence[Mapping[str, Any]], reader: Reader) -> set[str]
         if row.get("delays") == ():
             reader.add(f"{place}.delays", "must have at least one delay, such as delays = [0.012, 0.019]")
     return set(first)
-
-
-def _check_replays(replays: Sequence[Mapping[str, Any]], ids: Sequence[int], reader: Reader) -> None:
-    first: dict[tuple[tuple[int, int], str | None], int] = {}
-    for number, row in enumerate(replays, 1):
-        link = row.get("link") if row else None
-        if link is None:
-            continue
-        place = f"faults.replay[{number}].link"
-        if link.ends is None:
-            reader.add(place, f'must be one link one way, such as "1->2", got {show(str(link))}')
-        elif not link.named() <= set(ids) and ids:
-            missing = sorted(link.named() - set(ids))
-            reader.add(place, f"there is no robot {missing[0]}; ids are {show(sorted(ids), 80)[1:-1]}")
-        elif first.setdefault((link.ends, row.get("topic")), number) != number:
-            known = first[link.ends, row.get("topic")]
-            reader.add(place, f"faults.replay[{known}] is of the same messages already")
 
 
 def _check_delay(row: Mapping[str, Any], place: str, traces: set[str], reader: Reader) -> None:

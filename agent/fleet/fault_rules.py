@@ -10,14 +10,12 @@ and sent to a running fleet they are live faults.
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, Generic, Literal, TypeVar, cast
 
 from agent.common.settings import about, setting
-from agent.common.wording import show
 from agent.fleet.fault_targets import LinkSet, Partition
 from agent.impairments.impairments import (
     Corrupt,
@@ -32,7 +30,6 @@ from agent.impairments.impairments import (
     interpolate,
     parse_ramp,
 )
-from agent.impairments.recorded_fates import decode_fates
 
 T = TypeVar("T", bound=Impairment)
 
@@ -314,41 +311,6 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
-class Fates:
-    """Recorded fates (`agent.impairments.recorded_fates`): their text, and the numbers in it."""
-
-    text: str
-    numbers: array[int] = field(compare=False, repr=False)
-
-    @classmethod
-    def parse(cls, raw: object) -> Fates:
-        """From the text that `handfast faults replay` writes. ValueError."""
-        if not isinstance(raw, str):
-            raise ValueError(f"must be the text that `handfast faults replay` writes, got {show(raw)}")
-        return cls(raw, decode_fates(raw))
-
-    def __str__(self) -> str:
-        return self.text
-
-
-@dataclass(frozen=True, slots=True)
-class Replay:
-    """One ``[[faults.replay]]``."""
-
-    link: LinkSet = field(metadata=about("The link, one way: `1->2`.", parse=LinkSet.parse, example='"1->2"'))
-    first: int = field(metadata=about("Sequence number of the first message.", ge=0, example="1048576"))
-    fates: Fates = field(
-        metadata=about(
-            "Delay of each message, or that it was lost, packed.", parse=Fates.parse, example='"eNpj..."'
-        )
-    )
-    topic: Literal["hand", "state", "wrench"] = setting("hand", "What the messages were.")
-    second: Fates | None = setting(
-        None, "Delays of second copies, where messages came twice.", parse=Fates.parse, example='"eNpj..."'
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class FaultsSection(Impairments):
     """``[faults]``: faults of all links between agents, and of some at times."""
 
@@ -363,9 +325,3 @@ class FaultsSection(Impairments):
         key="rule",
     )
     traces: tuple[Trace, ...] = setting((), 'Recorded delays, for `delay = "trace NAME"`.', key="trace")
-    replays: tuple[Replay, ...] = setting(
-        (),
-        "Fates of the messages of one link as they were in another run; `handfast faults replay` writes "
-        "them. They win over all rules.",
-        key="replay",
-    )

@@ -40,6 +40,7 @@ REPLACED: Final[Mapping[str, str]] = {
     "network.admission": "docs/firewall.md has rules for nftables that do the same",
     "network.budget": "`check` always says what messages take of a radio; faults.rate limits links",
     "network.budget_queue_s": "faults.limit bounds the queue of a link that faults.rate limits",
+    "faults.replay": "write [[faults.rule]] with the same faults.seed: the same seed gives the same fates",
     "network.emulate_budget": "faults.rate limits links",
 }
 """Fields of former versions, and what replaced each. `robot` stands for `robot_defaults` as well."""

@@ -16,7 +16,6 @@ from agent.fleet.fault_rules import (
     CLOCK_FIELDS,
     SENSOR_FIELDS,
     FaultsSection,
-    Replay,
     Rule,
 )
 from agent.fleet.model import Fleet
@@ -59,9 +58,6 @@ class FaultPlan:
         section = fleet.faults
         self.ids: Final = fleet.ids
         self.seed: Final = fleet.fleet.seed if section.seed is None else section.seed
-        self._replays: Final[dict[tuple[tuple[int, int] | None, str], Replay]] = {
-            (replay.link.ends, replay.topic): replay for replay in section.replays
-        }
         self.traces: Final = {trace.name: trace.delays for trace in section.traces}
         self.changes = 0
         self.epoch_ns: int | None = None
@@ -182,22 +178,19 @@ class FaultPlan:
         return LinkRules(
             tuple(timed for timed in self._timed if timed.touches(source, destination, ruled, self.ids)),
             self._defaults if ruled == "hand" else {},
-            self._replays.get(((source, destination), topic)),
         )
 
     def is_ruled(self, source: int, destination: int, topic: str) -> bool:
         """Whether `rules_of_link` has anything: what most links are asked."""
         ruled = _ruled_as(topic)
-        return (
-            any(timed.touches(source, destination, ruled, self.ids) for timed in self._timed)
-            or (ruled == "hand" and bool(self._defaults))
-            or ((source, destination), topic) in self._replays
+        return any(timed.touches(source, destination, ruled, self.ids) for timed in self._timed) or (
+            ruled == "hand" and bool(self._defaults)
         )
 
     @property
     def rules_links(self) -> bool:
         """Whether there is anything that may happen to the messages of a link, until `changes` counts up."""
-        return bool(self._timed or self._defaults or self._replays)
+        return bool(self._timed or self._defaults)
 
     def sensor(self, robot: int, time_ns: int) -> SensorFaults | None:
         """Faults of a measurement of `robot` that is taken at `time_ns`; None for none."""

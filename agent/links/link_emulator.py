@@ -19,7 +19,6 @@ from typing import Final, NamedTuple
 from agent.common import random_streams
 from agent.common.named_tuples import new
 from agent.common.time import NS_PER_S, LocalTime
-from agent.impairments import recorded_fates
 from agent.impairments.impairments import Delay, from_trace
 from agent.links.fault_plan import FaultPlan
 from agent.links.timed_rules import NONE, LinkEffects, LinkRules
@@ -240,9 +239,6 @@ class LinkEmulator:
         if link is None or link.rules.idle:
             return True
         sequence, stamp_ns = message.sequence, message.time_ns
-        recorded = link.rules.replayed(sequence)
-        if recorded is not None:
-            return self._replay(link, recorded, Arrival(key, payload, message))
         effects = link.rules.effects(stamp_ns)
         if effects is NONE:
             return True
@@ -265,23 +261,6 @@ class LinkEmulator:
                 continue
             self._trace.append(entry)
             self._wait(link, sent_ns + delay_ns, arrival)
-        return False
-
-    def _replay(self, link: _Link, delays_us: tuple[int, int], arrival: Arrival) -> bool:
-        """Gives a message the fate that it had in another run."""
-        if delays_us[0] == recorded_fates.UNTOUCHED:
-            return True
-        assert arrival.message is not None
-        message = arrival.message
-        sent = message.robot, link.topic, message.sequence, message.time_ns
-        for delay_us, what in zip(delays_us, (0, DUPLICATED), strict=True):
-            if delay_us == recorded_fates.LOST:
-                what |= LOST
-            elif delay_us == recorded_fates.UNTOUCHED:
-                continue
-            self._trace.append(Decision(*sent, what, delay_us))
-            if not what & LOST:
-                self._wait(link, link.sent_ns(message.time_ns) + delay_us * 1000, arrival)
         return False
 
     def _wait(self, link: _Link, due_ns: int, arrival: Arrival) -> None:

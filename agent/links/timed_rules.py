@@ -14,11 +14,9 @@ from agent.fleet.fault_rules import (
     SENSOR_FIELDS,
     Effect,
     Impairments,
-    Replay,
     Rule,
 )
 from agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
-from agent.impairments.recorded_fates import UNTOUCHED
 
 FOREVER_NS: Final = 2**62
 """An end that never comes: later than any time of a message."""
@@ -144,14 +142,11 @@ def effects_of(rule: Rule) -> dict[str, Effect[Any]]:
 class LinkRules:
     """The rules of one link, in the order in which they win."""
 
-    def __init__(
-        self, rules: tuple[TimedRule, ...], defaults: dict[str, Effect[Any]], replay: Replay | None = None
-    ) -> None:
+    def __init__(self, rules: tuple[TimedRule, ...], defaults: dict[str, Effect[Any]]) -> None:
         self.rules = rules
-        self._replay = replay
         self._defaults = defaults
         self._known: dict[tuple[int, ...], LinkEffects] = {}
-        self.idle: Final = not rules and not defaults and replay is None
+        self.idle: Final = not rules and not defaults
         """True when nothing ever happens to messages of this link, as long as no rule changes."""
 
     def effects(self, time_ns: int) -> LinkEffects:
@@ -170,16 +165,6 @@ class LinkRules:
         if known is None:
             known = self._known[key] = self._merged(holding)
         return known
-
-    def replayed(self, sequence: int) -> tuple[int, int] | None:
-        """Recorded delays (us) of a message and of its second copy (`agent.impairments.recorded_fates`);
-        None without."""
-        replay = self._replay
-        if replay is None or not 0 <= sequence - replay.first < len(replay.fates.numbers):
-            return None
-        place = sequence - replay.first
-        seconds = replay.second.numbers if replay.second is not None else ()
-        return replay.fates.numbers[place], seconds[place] if place < len(seconds) else UNTOUCHED
 
     def _merged(self, holding: Sequence[tuple[TimedRule, float]]) -> LinkEffects:
         found: dict[str, Any] = {}

@@ -236,9 +236,6 @@ def _describe_faults(fleet: Fleet) -> Iterator[str]:
         yield f"fault {rule.name}: {described(rule)}"
     if len(rules) > FAULTS_SHOWN:
         yield f"and {len(rules) - FAULTS_SHOWN} further faults"
-    replays = len(fleet.faults.replays)
-    if replays:
-        yield f"faults: recorded fates on {replays} link{'s' * (replays != 1)}, as in an earlier run"
 
 
 def _describe_start(fleet: Fleet, geometry: Geometry) -> Iterator[str]:

@@ -1,1 +1,1 @@
-"""Fault rules from the operator's side: sent live, drawn as windows of time, replayed from a recording."""
+"""Fault rules from the operator's side: sent live, and drawn as windows of time."""

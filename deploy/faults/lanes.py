@@ -29,8 +29,4 @@ def lanes(recording: Recording, end_s: float) -> list[Lane]:
     everywhere = defaults(recording.fleet.faults)
     if everywhere is not None:
         found.insert(0, Lane(f"{everywhere.name}: {words(everywhere)}", [(0.0, end_s)]))
-    replays = recording.fleet.faults.replays
-    if replays:
-        links = f"{len(replays)} link{'s' * (len(replays) != 1)}"
-        found.insert(0, Lane(f"[[faults.replay]]: recorded fates on {links}", [(0.0, end_s)]))
     return found

@@ -112,8 +112,6 @@ def _beyond_rules(section: FaultsSection) -> list[tuple[str, str]]:
     whole = "is not for a running fleet: run with it (handfast run --faults)"
     if section.traces:
         out.append(("faults.trace[1]", whole))
-    if section.replays:
-        out.append(("faults.replay[1]", whole))
     return out
 
 

@@ -33,7 +33,7 @@ def section(recording: Recording, found: Mapping[str, Any], picture: bytes | Non
         return ""
     parts = ["<h2>Links</h2>"]
     if links:
-        parts.append(f"<p>{_total(found['injected'])} {_proof(found['links_audit'])}</p>")
+        parts.append(f"<p>{_total(found['injected'])}</p>")
     clocks = _clocks(found["clock_offsets"])
     if clocks:
         parts.append(f"<p>{clocks}</p>")
@@ -63,29 +63,6 @@ def _total(injected: Mapping[str, Any]) -> str:
 
 def _series(parts: Sequence[str]) -> str:
     return ", ".join(parts[:-1]) + (" and " if len(parts) > 1 else "") + parts[-1]
-
-
-def _proof(audit: Mapping[str, Any]) -> str:
-    """What making every decision again has shown, in one sentence or a few."""
-    agreeing, decided, differing = audit["agreeing"], audit["decided"], audit["differing"]
-    out = (
-        f"Made again from the fleet file, its seed and the messages as they were sent, {shown(agreeing)} of "
-        f"{shown(decided)} recorded decisions are the same"
-    )
-    out += f" and <strong>{shown(differing)} differ</strong>." if differing else " and none differs."
-    if audit["unchecked"]:
-        out += (
-            f" {shown(audit['unchecked'])} depend on more than the recording holds (the queue of a rate "
-            "limit, a distance, what happened before it began) and were not checked."
-        )
-    if audit["unrecorded"]:
-        out += f" {shown(audit['unrecorded'])} are on messages that are not in the recording."
-    if audit["unheard"]:
-        out += (
-            f" {shown(audit['unheard'])} further messages were sent under a rule and never reached their "
-            "receiver: the real network lost them, or nobody listened."
-        )
-    return out
 
 
 def _clocks(offsets: Sequence[Mapping[str, Any]]) -> str:

@@ -1,1 +1,1 @@
-"""Whether a run was good: oracles, metrics, and an audit of every fate on every link."""
+"""Whether a run was good: oracles and metrics."""

@@ -67,7 +67,7 @@ class Evidence:
 
     @cached_property
     def about_links(self) -> Mapping[str, Any]:
-        return link_metrics.describe_links(self.recording, self.analysis)
+        return link_metrics.describe_links(self.recording)
 
     @cached_property
     def distance_errors(self) -> Floats:

@@ -15,40 +15,25 @@ from agent.links.timed_rules import link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, mean, number, percentile
-from deploy.console.wording import robots, some
+from deploy.console.wording import robots
 from deploy.faults.windows import LiveSet, live_sets, windows
 from deploy.faults.wording import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.recording.link_table import Ints, LinkTable
 from deploy.recording.links import Link, links_of
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable
-from deploy.verdict.link_audit import audit
 
 Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]
 """By (source, destination): fleet times of the receiver's ticks (s) and the age of what it had then (ms)."""
 
 
-def describe_links(recording: Recording, a: Analysis) -> dict[str, Any]:
-    """What ``metrics.json`` says of links: `links`, `injected`, `links_audit` and `clock_offsets`."""
-    found = audit(recording, a)
+def describe_links(recording: Recording) -> dict[str, Any]:
+    """What ``metrics.json`` says of links: `links`, `injected` and `clock_offsets`."""
     age = ages(recording)
     asked = _Asked(recording)
     return {
         "links": [_link(recording, link, rows, asked, age) for link, rows in recording.links.by_link()],
         "injected": injected(recording.links),
-        "links_audit": {
-            **vars(found),
-            "differences": [
-                {
-                    "link": f"{one.link.source}->{one.link.destination}",
-                    "topic": one.link.topic,
-                    "sequence": one.sequence,
-                    "recorded": [list(copy) for copy in one.recorded],
-                    "expected": [list(copy) for copy in one.expected],
-                }
-                for one in found.differences
-            ],
-        },
         "clock_offsets": clock_offsets(recording),
     }
 
@@ -109,7 +94,6 @@ class _Asked:
     """What the rules say of a link, in words."""
 
     def __init__(self, recording: Recording) -> None:
-        self._fleet = recording.fleet
         self._plan = FaultPlan(recording.fleet)
         self._live: list[tuple[LiveSet, FaultPlan]] = []
         for held in live_sets(recording):
@@ -125,10 +109,6 @@ class _Asked:
                 if timed.live:
                     what = effects_text(timed.effects)
                     parts.append(f"{what} (live, {held.message.author}, from {held.origin_s:.1f} s)")
-        source, destination, topic = link
-        for replay in self._fleet.faults.replays:
-            if replay.link.ends == (source, destination) and replay.topic == topic:
-                parts.append("recorded fates ([[faults.replay]])")
         file = self._plan.rules_of_link(*link)
         rules = {timed.rule.name: timed.rule for timed in file.rules}
         for name, effects in file.asked():
@@ -326,23 +306,4 @@ def idle_rules(recording: Recording, a: Analysis) -> list[str]:
     for rule in FaultPlan(recording.fleet).file_rules():
         if rule.given(ACTION_FIELDS) and rule.name not in done:
             out.append(f"Rule '{rule.name}' ({described(rule)}) did nothing.")
-    return out
-
-
-def audit_warnings(found: Mapping[str, Any]) -> list[str]:
-    """A sentence when what was recorded is not what the rules give."""
-    differing, unrecorded = found["differing"], found["unrecorded"]
-    links = some(found["doubtful"])
-    out = []
-    if differing:
-        out.append(
-            f"Of {found['decided']} recorded decisions on messages {differing} are not those that the rules "
-            "and the seed give: the recording or its fleet file was changed, or another version of "
-            f"handfast made it. They are on {links}."
-        )
-    if unrecorded:
-        out.append(
-            f"The recording lacks {unrecorded} of the {found['decided']} messages that were decided on: what "
-            f"was done to them cannot be checked. They were on {links}."
-        )
     return out

@@ -288,7 +288,6 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric("links", "Of each link: what was asked, what was done, what was measured.", _link("links")),
     Metric("injected", "What was done to messages on purpose, over all links.", _link("injected")),
-    Metric("links_audit", "Every recorded decision on a message, made again.", _link("links_audit")),
     Metric("clock_offsets", "Neighbours' clocks as each robot estimates them.", _link("clock_offsets")),
     Metric("oracles", "What each oracle found.", _oracles),
     Metric(

@@ -46,7 +46,6 @@ FORBIDDEN = frozenset(
 )
 ALLOWED = {
     "agent.fleet.loading": {"pathlib"},  # reads the fleet file that it is given
-    "agent.impairments.recorded_fates": {"sys"},  # the machine's byte order
 }
 """What a module may import all the same, and why."""
 

@@ -62,10 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("show", _show, "say which faults hold now")
     sub = add("clear", _clear, "heal: end the live rules of all operators")
     sub.add_argument("--author", metavar="WHO", help="only theirs, as `show` names them")
-    text = "write the fates of a run's messages as a scenario, which gives them the same fates again"
-    replay = actions.add_parser("replay", help=text, description=f"{text[0].upper()}{text[1:]}.")
-    replay.set_defaults(command=handled(_replay))
-    replay.add_argument("folder", metavar="RUN", help="the run's folder; the scenario goes to the output")
 
 
 def _add_stay(parser: argparse.ArgumentParser) -> None:
@@ -82,13 +78,6 @@ def _metavar(entry: Entry) -> str:
 
 def _dest(key: str) -> str:
     return f"rule.{key}"
-
-
-def _replay(options: argparse.Namespace) -> int:
-    from deploy.faults.replay_scenario import write_scenario
-
-    print(write_scenario(options.folder), end="")
-    return PASSED
 
 
 # ---------------------------------------------------------------------- set and apply

@@ -9,7 +9,6 @@ from agent.fleet.fault_targets import LinkSet, Partition
 from agent.fleet.loading import digest, parse_fleet, to_dict
 from agent.fleet.model import FleetError
 from agent.fleet.scenario import ScenarioError, parse_scenario
-from agent.impairments.recorded_fates import encode_fates
 
 FLEET = """
 robot = [
@@ -266,14 +265,6 @@ def test_two_traces_of_one_name_and_one_without_delays() -> None:
     found = problems(trace + "delays = [0.1]\n" + trace)
     assert any('faults.trace[2].name: faults.trace[1] has the name "wifi" already' in said for said in found)
     assert any("faults.trace[2].delays: must have at least one delay" in said for said in found)
-
-
-def test_two_replays_of_the_same_messages() -> None:
-    replay = f'[[faults.replay]]\nlink = "1->2"\nfirst = 0\nfates = "{encode_fates([1])}"\n'
-    assert problems(replay + replay) == [
-        "faults.replay[2].link: faults.replay[1] is of the same messages already"
-    ]
-    parse_scenario(replay + replay + 'topic = "state"\n', IDS)
 
 
 def test_a_scenario_is_read_with_the_fleets_robots() -> None:

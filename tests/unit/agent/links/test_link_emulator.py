@@ -9,9 +9,7 @@ import pytest
 from agent.common import random_streams
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet, FleetError
-from agent.impairments import recorded_fates
-from agent.impairments.recorded_fates import encode_fates
+from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import LinkEmulator
 from agent.links.timed_rules import NONE
@@ -445,33 +443,3 @@ def test_links_are_idle_again_when_all_is_over() -> None:
     assert len(to.due(EPOCH + NS_PER_S)) == 1
     assert len(entries(to)) == 1
     assert to.idle
-
-
-# --- replay -----------------------------------------------------------------------------------
-
-
-def test_recorded_fates_come_again() -> None:
-    fates_text = encode_fates([40_000, recorded_fates.LOST, recorded_fates.UNTOUCHED, 0, 70_000])
-    second = encode_fates(
-        [recorded_fates.UNTOUCHED, recorded_fates.UNTOUCHED, recorded_fates.UNTOUCHED, 90_000]
-    )
-    to = links(
-        f'[faults]\nloss = "100%"\n'
-        f'[[faults.replay]]\nlink = "1->2"\nfirst = 3\nfates = "{fates_text}"\nsecond = "{second}"\n'
-    )
-    at_once = [number for number in range(9) if send(to, message(number))]
-    assert at_once == [5]
-    found = [(entry[2], entry[4], entry[5]) for entry in entries(to)]
-    lost = [(number, LOST, -1) for number in (0, 1, 2, 8)]
-    assert found[:3] + found[-1:] == lost
-    assert found[3:-1] == [
-        (3, 0, 40_000), (4, LOST, -1), (6, 0, 0), (6, DUPLICATED, 90_000), (7, 0, 70_000),
-    ]  # fmt: skip
-    assert len(to.due(EPOCH + 100 * NS_PER_S)) == 4
-
-
-def test_a_replay_is_of_one_link() -> None:
-    with pytest.raises(FleetError, match=r"faults\.replay\[1\]\.link: must be one link one way"):
-        links(f'[[faults.replay]]\nlink = "1<->2"\nfirst = 0\nfates = "{encode_fates([1])}"\n')
-    with pytest.raises(FleetError, match=r"faults\.replay\[1\]\.fates: must be fates as"):
-        links('[[faults.replay]]\nlink = "1->2"\nfirst = 0\nfates = "rubbish"\n')

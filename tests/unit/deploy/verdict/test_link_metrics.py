@@ -24,7 +24,7 @@ from deploy.analysis.analysis import analyse
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics
-from deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings
+from deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings, describe_links
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, recorded, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
@@ -46,10 +46,6 @@ def fed(*extra: Sent, statuses: bool = True) -> Recording:
     for each in extra:
         data.feed(*each)
     return data.recording()
-
-
-def describe_links(recording: Recording) -> dict[str, Any]:
-    return link_metrics.describe_links(recording, analyse(recording, resolve(recording.fleet)))
 
 
 def idle_rules(recording: Recording) -> list[str]:

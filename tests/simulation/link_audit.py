@@ -1,15 +1,12 @@
-"""Is what was done to messages what the rules and the seed say: every decision of a recording, made again.
+"""Test oracle: do the recorded decisions on messages follow from the fault rules and the seed?
 
 Decisions are functions of the seed, the link and the message's number and stamp
-(`agent.links.link_emulator`). So a recording proves itself: its fleet file, the live rules that each process
-said it held, and the messages as they were sent give every decision again, by the code that made them. What
-depends on more is not checked:
-queues of a rate limit (sizes of messages), range channels (where the receiver thought
-it was), and slots before a receiver knew the epoch.
+(`agent.links.link_emulator`). The audit makes every decision of a recording again, from its fleet file, the
+live rules that each process reported, and the messages as they were sent. It does not check decisions that
+depend on more: queues of a rate limit, range channels, and slots before a receiver knew the epoch.
 
-A robot listens to the hand states of its neighbours, and of whoever is near it for as long as that is so.
-What it decided on is checked for all of them; a message without any decision is reported of neighbours
-alone. Beacons, a few a second from all to all, are not recorded for this.
+A robot listens to the hand states of its neighbours, and of robots nearby. Recorded decisions are checked for
+all of them; messages without any decision are counted only for neighbours. Beacons are not recorded.
 """
 
 from __future__ import annotations
@@ -33,14 +30,14 @@ from deploy.recording.links import Link, links_of
 from deploy.recording.recording import LiveFaults, Recording
 
 DIFFERENCES_MAX: Final = 20
-"""So many differences are kept one by one."""
+"""Maximum number of differences that a result lists."""
 _CHANGE_NS: Final = 3 * NS_PER_S // 10
-"""So near a change of the live rules it is not known which of them a process had when a message came."""
+"""Time around a change of the live rules in which it is unknown which of them a process had."""
 _AWAY_NS: Final = 2 * NS_PER_S
-"""So long after it was started a process may not have the mission and the live rules yet."""
+"""Time after its start in which a process may lack the mission and the live rules."""
 _FAR_NS: Final = 2**62
 _BEGUN_S: Final = 0.5
-"""So near to where an edge comes or goes a robot may not listen to that neighbour."""
+"""Time around a change of an edge in which a robot may not listen to that neighbour."""
 
 _Spans = tuple[tuple[float, float], ...]
 _ALWAYS: Final[_Spans] = ((-inf, inf),)
@@ -49,7 +46,7 @@ _Copies = tuple[tuple[int, int], ...]
 
 
 class Difference(NamedTuple):
-    """One message whose recorded fate is not the one that its rules give; copies are (what, delay_us)."""
+    """A message whose recorded fate is not what its rules give; copies are (what, delay_us)."""
 
     link: Link
     sequence: int
@@ -59,7 +56,7 @@ class Difference(NamedTuple):
 
 
 class _Change(NamedTuple):
-    """A change of the live rules of a process: it happened between these times (true wall time, ns)."""
+    """A change of the live rules of a process between these times (true wall time, ns)."""
 
     since_ns: int
     said_ns: int
@@ -69,12 +66,12 @@ class _Change(NamedTuple):
 class AuditResult:
     """Counts of messages.
 
-    decided: with a recorded decision; of these `agreeing` and `differing` were made again, `unchecked` depend
-    on more than the recording holds, and of `unrecorded`, sent during the drive, the message itself is not in
-    it.
-    unheard: sent during the drive under a rule, by a neighbour or a plant, but without a decision: they
-    never reached the receiver (the network lost them, or it was not there).
-    doubtful: links, such as ``1->2``, with any that differ or are not recorded.
+    Attributes:
+        decided: messages with a recorded decision; the next four add up to it.
+        agreeing, differing: decisions that were made again.
+        unchecked: decisions that depend on more than the recording holds.
+        unrecorded: decisions on messages that the recording lacks.
+        unheard: messages under a rule without a decision: they never reached the receiver.
     """
 
     decided: int = 0
@@ -84,20 +81,10 @@ class AuditResult:
     unrecorded: int = 0
     unheard: int = 0
     differences: list[Difference] = field(default_factory=list)
-    doubtful: list[str] = field(default_factory=list)
-
-    def doubt(self, link: Link) -> None:
-        name = f"{link.source}->{link.destination}"
-        if name not in self.doubtful:
-            self.doubtful.append(name)
 
 
 def audit(recording: Recording, a: Analysis) -> AuditResult:
-    """Makes every recorded decision again and compares.
-
-    Args:
-        a: of the recording; it says who shared an edge when.
-    """
+    """Make every recorded decision again and compare. `a` says which robots shared an edge when."""
     result = AuditResult()
     if not len(recording.links) and not _has_rules(recording):
         return result
@@ -119,17 +106,16 @@ def audit(recording: Recording, a: Analysis) -> AuditResult:
             if link.topic == "hand" and link.source != link.destination:
                 node.check(link, rows, (), result)
                 continue
-            # What else a trace names is nobody's message.
+            # A trace that names a link without messages.
             messages = int(rows.first_copies.sum())
             result.decided += messages
             result.unrecorded += messages
-            result.doubt(link)
     return result
 
 
 def _has_rules(recording: Recording) -> bool:
     section = recording.fleet.faults
-    return bool(recording.live_faults or section.rules or section.replays or gives_link_effects(section))
+    return bool(recording.live_faults or section.rules or gives_link_effects(section))
 
 
 def _receiver(link: Link) -> tuple[int, str]:
@@ -141,7 +127,7 @@ def _pair(link: Link) -> tuple[int, int]:
 
 
 def _neighbours(a: Analysis) -> dict[tuple[int, int], _Spans]:
-    """Fleet times (s) in which pairs of robots, the lesser id first, were neighbours for certain."""
+    """Return fleet times (s) in which pairs of robots, the lesser id first, certainly shared an edge."""
     found = {}
     times = a.grid.tolist()
     for (i, j), wanted in zip(a.edges.tolist(), a.wanted.T, strict=True):
@@ -163,13 +149,13 @@ def _plan(recording: Recording, live: Sequence[Faults]) -> FaultPlan:
     if recording.epoch_ns is not None:
         plan.begin(recording.epoch_ns)
     for message in live:
-        # How long a lease held is known from when the process dropped it.
+        # When a lease ended is known from when the process dropped it.
         plan.take(message._replace(lease_ns=0), message.time_ns)
     return plan
 
 
 class _Node:
-    """One process that receives: which rules it held when, and when it was not there."""
+    """A receiving process: which rules it held when, and when it was not running."""
 
     def __init__(self, recording: Recording, robot: int, role: str, plain: FaultPlan) -> None:
         self._recording, self._robot = recording, robot
@@ -185,7 +171,7 @@ class _Node:
         self._known_ns = last_ns - TRACE_PERIOD_NS - 2 * recording.fleet.period_ns
 
     def check(self, link: Link, rows: LinkTable | None, heard: _Spans, result: AuditResult) -> None:
-        """Adds what became of the messages of one link; all must have come in the times `heard` (s)."""
+        """Count the messages of one link; all of them must have come in the times `heard` (s)."""
         recorded: dict[int, _Copies] = {}
         if rows is not None:
             for stamp, what, delay_us in zip(
@@ -218,22 +204,19 @@ class _Node:
                 result.unchecked += 1
             else:
                 result.differing += 1
-                result.doubt(link)
                 if len(result.differences) < DIFFERENCES_MAX:
                     result.differences.append(Difference(link, sequence, stamp, found, wanted or ()))
         if rows is not None and recorded:
             left = np.isin(rows.stamp_ns, list(recorded)) & rows.first_copies
             driven = left & (rows.t >= 0.0) & (rows.t <= self._recording.end_s)
             result.unrecorded += int(driven.sum())
-            if driven.any():
-                result.doubt(link)
             # Before the drive the operator may not have listened yet, after it no more.
             result.unchecked += int(left.sum() - driven.sum())
 
     def _decide(
         self, link: Link, stamps: Sequence[int], sequences: Sequence[int], times: Sequence[int]
     ) -> tuple[dict[int, _Copies], set[int]]:
-        """What the rules do to every message of a link, by stamp, and the stamps where that takes more."""
+        """Return decisions by stamp, and stamps of messages whose decisions depend on more."""
         topic = TOPICS.index(link.topic)
         expected: dict[int, _Copies] = {}
         beyond: set[int] = set()
@@ -251,7 +234,7 @@ class _Node:
             links = LinkEmulator(plan, self._robot, {link.topic: (link.source,)})
             for k in part:
                 stamp = stamps[k]
-                if more and rules.replayed(sequences[k]) is None:
+                if more:
                     effects = rules.effects(stamp)
                     # Slots count from the epoch, as soon as the receiver has it.
                     slotted = effects.slot is not None and times[k] < self._told_ns
@@ -270,7 +253,7 @@ class _Node:
         return any(start_s <= t <= end_s for start_s, end_s in spans)
 
     def _unclear(self, time_ns: int) -> bool:
-        """Whether the process changed its rules, or was not all there, when this message came."""
+        """Return True if the process was changing its rules, or starting, when this message came."""
         return any(
             since - _CHANGE_NS <= time_ns <= said + _CHANGE_NS for since, said in self._changes
         ) or any(first <= time_ns <= last for first, last in self._away_ns)
@@ -287,14 +270,14 @@ def _same(found: _Copies, wanted: _Copies) -> bool:
 
 
 def _of_more(found: _Copies, wanted: _Copies) -> bool:
-    """Whether a queue, or the end of a live hold, may have made the difference."""
+    """Return True if a queue, or the end of a live hold, may explain the difference."""
     return any(what & (OVERFLOW | HELD) for what, _ in (*found, *wanted))
 
 
 def _timeline(
     recording: Recording, held: Sequence[LiveFaults], plain: FaultPlan
 ) -> tuple[list[_Change], list[FaultPlan]]:
-    """When the live rules of a process changed, in order; its plan before, between and after."""
+    """Return when the live rules of a process changed, and its plan before, between and after."""
     changes: list[_Change] = []
     plans = [plain]
     live: dict[str, Faults] = {}
@@ -318,7 +301,7 @@ def _timeline(
 
 
 def _away(recording: Recording, robot: int, role: str) -> Iterator[tuple[int, int]]:
-    """Times (ns) at which a process was killed, paused, or had only just come back."""
+    """Yield times (ns) at which a process was killed, paused, or had just come back."""
     since: int | None = None
     for event in recording.events:
         if (event.robot, event.role) != (robot, role):
