@@ -21,7 +21,7 @@ PROJECT := $(PIP_INSTALL) --no-deps --no-build-isolation --no-index --editable .
 # The same with what runs in every tick as C; built of a copy, which the compiler leaves its files in.
 COMPILED := .venv-compiled
 COMPILED_BUILD := build/compiled
-SOURCES := $(shell find agent plant bridges deploy handfast.py -type f ! -name '*.pyc')
+SOURCES := $(shell find agent plant bridges deploy handfast -type f ! -name '*.pyc')
 # No fused multiply-add: all forms give the same numbers, to the bit.
 COMPILED_CFLAGS := -ffp-contract=off -g0
 # $(1): more options of the compiler.
@@ -99,7 +99,7 @@ bench: $(VENV)/.dev ## benchmarks
 	$(PY) -m tests.benchmarks
 
 docs: $(VENV)/.dev ## write the references of the fleet file and of metrics
-	$(PY) -m deploy.check.fleet_reference > docs/fleet-file.md
+	$(PY) -m handfast.deploy.check.fleet_reference > docs/fleet-file.md
 	$(PY) -m tests.docs.metrics_page > docs/metrics.md
 
 # Keeps the pinned versions that still satisfy pyproject.toml; `make lock UPGRADE=1` takes the newest.
@@ -170,14 +170,14 @@ $(COMPILED)/.built: $(VENV)/.dev $(SOURCES) $(UNPROFILED)
 	fi,:)
 	@echo 'compiling, which takes some $(if $(PGO),fifteen,five) minutes'
 	@rm -rf $(COMPILED_BUILD) && mkdir -p $(COMPILED_BUILD)
-	@cp -RP agent plant bridges deploy handfast.py handfast-stubs pyproject.toml README.md LICENSE $(COMPILED_BUILD)
-	@$(PY) -m agent.messages.fast_path > $(COMPILED_BUILD)/agent/messages/compiled_fast_path.py
+	@cp -RL handfast pyproject.toml README.md LICENSE $(COMPILED_BUILD)
+	@$(PY) -m handfast.agent.messages.fast_path > $(COMPILED_BUILD)/handfast/agent/messages/compiled_fast_path.py
 ifdef PGO
 	@set -e; tmp=$$(mktemp -d); trap 'rm -rf "$$tmp"' EXIT; trap 'exit 130' INT TERM; \
 	export HATCH_MYPYC_BUILD_DIR="$$tmp/c"; mkdir "$$tmp/c"; \
 	$(call WHEEL,-fprofile-generate=$$tmp/profile -fprofile-update=single); \
 	for more in $(TRAINING); do rm -rf "$$tmp/out"; \
-	  (cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m deploy.cli simulate delta --no-report --out "$$tmp/out" $$more >"$$tmp/said" 2>&1) || \
+	  (cd $(COMPILED_BUILD) && '$(CURDIR)/$(PY)' -m handfast.deploy.cli simulate delta --no-report --out "$$tmp/out" $$more >"$$tmp/said" 2>&1) || \
 	    { cat "$$tmp/said" >&2; exit 1; }; \
 	done; \
 	find $(COMPILED_BUILD) -name '*.so' -delete; rm -rf "$$tmp/c" $(COMPILED_BUILD)/*.whl; mkdir "$$tmp/c"; \

@@ -1,4 +1,4 @@
-"""``python -m agent --fleet FILE --robot ID``: the agent of one robot as a process."""
+"""``python -m handfast.agent --fleet FILE --robot ID``: the agent of one robot as a process."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 
-from agent.common.time import Clock
-from agent.core import Agent
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.links.ticks import Ticks, agent_slot_ns
-from agent.runtime.loop import Log
-from agent.runtime.process import Start
-from agent.runtime.process import main as process_main
+from handfast.agent.common.time import Clock
+from handfast.agent.core import Agent
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.links.ticks import Ticks, agent_slot_ns
+from handfast.agent.runtime.loop import Log
+from handfast.agent.runtime.process import Start
+from handfast.agent.runtime.process import main as process_main
 
 
 def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: the command line after the program's name; None: that of this process.
     """
-    return process_main(argv, "python -m agent", "agent", start)
+    return process_main(argv, "python -m handfast.agent", "agent", start)
 
 
 if __name__ == "__main__":

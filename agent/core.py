@@ -11,22 +11,22 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from agent.common.errors import Error
-from agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
-from agent.control import pace
-from agent.control.controller import Controller, Drive
-from agent.control.event_trigger import EventTrigger
-from agent.control.hand import Hand
-from agent.control.own_hand import OwnHand
-from agent.control.peers.lateness import IN_TIME_NS, OUTAGE_NS, STOOD_KEPT_NS
-from agent.control.peers.rolling import rolls_of
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.links.ingress import Decode, Ingress
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import (
+from handfast.agent.common.errors import Error
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
+from handfast.agent.control import pace
+from handfast.agent.control.controller import Controller, Drive
+from handfast.agent.control.event_trigger import EventTrigger
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.own_hand import OwnHand
+from handfast.agent.control.peers.lateness import IN_TIME_NS, OUTAGE_NS, STOOD_KEPT_NS
+from handfast.agent.control.peers.rolling import rolls_of
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
+from handfast.agent.links.ingress import Decode, Ingress
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import (
     FLOAT_MAX,
     Ask,
     Beacon,
@@ -39,17 +39,17 @@ from agent.messages.types import (
     Stop,
     clipped,
 )
-from agent.messages.validation import Malformed
-from agent.messages.versions import can_be
-from agent.supervision.deafness import Deafness
-from agent.supervision.lasting_orders import LastingOrders
-from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.order_relay import OrderRelay
-from agent.supervision.outbox import Outbox
-from agent.supervision.overload import Overload
-from agent.supervision.situation import Situation
-from agent.supervision.state_machine import ACTIVE, DRIVING, State, step
-from agent.supervision.status import StatusReport, status_hz
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.messages.versions import can_be
+from handfast.agent.supervision.deafness import Deafness
+from handfast.agent.supervision.lasting_orders import LastingOrders
+from handfast.agent.supervision.neighbour_trust import NeighbourTrust
+from handfast.agent.supervision.order_relay import OrderRelay
+from handfast.agent.supervision.outbox import Outbox
+from handfast.agent.supervision.overload import Overload
+from handfast.agent.supervision.situation import Situation
+from handfast.agent.supervision.state_machine import ACTIVE, DRIVING, State, step
+from handfast.agent.supervision.status import StatusReport, status_hz
 
 STOOD_NS: Final = 2 * OUTAGE_NS
 """It is told for how much of the time since then the own process did not run: whoever hears it looks no
@@ -66,8 +66,8 @@ class Agent:
         decoder: see `agent.links.ingress.Ingress`.
 
     Raises:
-        agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
-        agent.control.own_law.LawError: its law cannot be made.
+        handfast.agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be
+        resolved. handfast.agent.control.own_law.LawError: its law cannot be made.
     """
 
     def __init__(self, fleet: Fleet, robot: int, decoder: Decode | None = None) -> None:

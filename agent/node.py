@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
-from agent.common.time import MachineClock
-from agent.links.fault_plan import FaultPlan
-from agent.messages.types import Outgoing
+from handfast.agent.common.time import MachineClock
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.messages.types import Outgoing
 
 INBOX_SIZE: Final = 64
 """Messages that wait for a node's tick, per subscription; the newest are kept."""

@@ -12,24 +12,15 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from errno import EIO, ENOSPC
 from importlib import import_module
-from importlib.machinery import PathFinder
-from os.path import dirname
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-for _name in ("agent", "plant", "bridges"):  # before anything of them runs; as in handfast.py
-    _ours, _found = PathFinder.find_spec(_name, [dirname(dirname(__file__))]), PathFinder.find_spec(_name)
-    if _ours and _found and _found.origin and _ours.origin != _found.origin:
-        _wrong = f"{_found.origin} takes the place of handfast's package {_name}: rename it"
-        print(f"handfast: {_wrong}", file=sys.stderr)
-        sys.exit(2)  # agent.common.exit.BAD_INPUT
-
-from agent.common.errors import Error, packages_named
-from agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED, PASSED, UNREAD
-from deploy.console.data_files import bundled
-from deploy.console.interrupt import remembered
+from handfast.agent.common.errors import Error, packages_named
+from handfast.agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED, PASSED, UNREAD
+from handfast.deploy.console.data_files import bundled
+from handfast.deploy.console.interrupt import remembered
 
 if TYPE_CHECKING:
-    from deploy.processes.forking import ForkServer
+    from handfast.deploy.processes.forking import ForkServer
 
 ROVER_SIMULATOR: Final = "rover-simulator"
 COMPLETION: Final = "completion"
@@ -146,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with remembered(), packages_named():
             if arguments[:1] == [ROVER_SIMULATOR]:
-                from deploy.commands.local.rover_simulator import run
+                from handfast.deploy.commands.local.rover_simulator import run
 
                 return run(arguments[1:])
             if not arguments:
@@ -196,8 +187,8 @@ def _asked(arguments: Sequence[str]) -> str:
     # What stands before it may be --help or --version, which come first.
     if asked != arguments[0] or asked in (names := [command.name for command in COMMANDS]):
         return asked
-    from agent.common.wording import did_you_mean, show  # here: `--help` does without
-    from deploy.commands.running.change import CHANGES
+    from handfast.agent.common.wording import did_you_mean, show  # here: `--help` does without
+    from handfast.deploy.commands.running.change import CHANGES
 
     written = {name: name for name in names} | {change: f"change {change}" for change in CHANGES} | ELSEWHERE
     known = [asked] if asked in written else written
@@ -211,8 +202,8 @@ def _fork_server(asked: str, arguments: Collection[str]) -> AbstractContextManag
     loads what that needs."""
     if asked != FORKS or not {"-h", "--help"}.isdisjoint(arguments):
         return nullcontext()
-    from deploy.processes.child import environment
-    from deploy.processes.forking import ForkServer
+    from handfast.deploy.processes.child import environment
+    from handfast.deploy.processes.forking import ForkServer
 
     return ForkServer(environment())
 
@@ -283,7 +274,7 @@ def _parser(asked: Collection[str] | None = None) -> argparse.ArgumentParser:
         sub = commands.add_parser(command.name, help=command.help, description=command.help)
         # The simulator reads its arguments by itself: `main` hands them on before they are looked at here.
         if command.name != ROVER_SIMULATOR and (asked is None or command.name in asked):
-            import_module(f"deploy.commands.{command.module}").add_arguments(sub)
+            import_module(f"handfast.deploy.commands.{command.module}").add_arguments(sub)
     return parser
 
 
@@ -313,7 +304,7 @@ class _CommandParser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         options, unknown = super().parse_known_args(args and self._with_negative(args), namespace)
         if unknown:
-            from agent.common.wording import did_you_mean
+            from handfast.agent.common.wording import did_you_mean
 
             names = [name for action in self._actions for name in action.option_strings]
             spelled = next((word.partition("=")[0] for word in unknown if word.startswith("-")), "")
@@ -338,8 +329,8 @@ class _Version(argparse.Action):
     """Prints the version and ends; finding it takes a while, so only where it is asked for."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
-        from agent.common.compiled import FORM
-        from agent.runtime.version import handfast_version
+        from handfast.agent.common.compiled import FORM
+        from handfast.agent.runtime.version import handfast_version
 
         print(f"handfast {handfast_version()} ({FORM})")
         parser.exit()

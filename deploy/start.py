@@ -13,7 +13,7 @@ def process() -> int:
     is_heeded = _signal.getsignal(sigint) is _signal.default_int_handler  # not so in a job's background
     if is_heeded:
         _signal.signal(sigint, _signal.SIG_DFL)
-    from deploy import cli
+    from handfast.deploy import cli
 
     if is_heeded:
         _signal.signal(sigint, _signal.default_int_handler)

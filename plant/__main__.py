@@ -1,4 +1,5 @@
-"""``python -m plant --fleet FILE --robot ID``: a simulated body, or one that is a plugin, as a process.
+"""``python -m handfast.plant --fleet FILE --robot ID``: a simulated body, or one that is a plugin, as a
+process.
 
 It starts where the fleet file has it start; with ``--pose=X,Y,HEADING`` (m, m, W; rad, counter-clockwise from
 x) there; with ``--pose-file FILE`` where that file has it last, so that a process that starts again finds its
@@ -14,17 +15,17 @@ from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 
-from agent.common.exit import FAILED
-from agent.common.plugins import PluginError
-from agent.common.time import Clock
-from agent.fleet import plants
-from agent.fleet.model import Fleet
-from agent.messages.types import FLOAT_MAX
-from agent.runtime.loop import Log
-from agent.runtime.process import StartError
-from plant.backend import Begin, Place, PlantBackend
-from plant.pose_file import PersistentBody, PoseFile, PoseFileError
-from plant.server import main as serve
+from handfast.agent.common.exit import FAILED
+from handfast.agent.common.plugins import PluginError
+from handfast.agent.common.time import Clock
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import FLOAT_MAX
+from handfast.agent.runtime.loop import Log
+from handfast.agent.runtime.process import StartError
+from handfast.plant.backend import Begin, Place, PlantBackend
+from handfast.plant.pose_file import PersistentBody, PoseFile, PoseFileError
+from handfast.plant.server import main as serve
 
 
 def place(text: str) -> Place:
@@ -61,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: the command line after the program's name; None: that of this process.
     """
-    parser = argparse.ArgumentParser(prog="python -m plant", add_help=False, allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="python -m handfast.plant", add_help=False, allow_abbrev=False)
     parser.add_argument(
         "--pose",
         type=place,
@@ -116,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise StartError(str(error)) from None
 
     try:
-        return serve(rest, "python -m plant", make, options.beside, options.logs, [parser])
+        return serve(rest, "python -m handfast.plant", make, options.beside, options.logs, [parser])
     except PoseFileError as error:
         print(f"plant: {error}", file=sys.stderr)
         return FAILED

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
-from agent.control.hand import Pose
-from agent.fleet.sections import Robot
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.sections import Robot
 
 Place = tuple[float, float, float]
 """x, y (m, W), heading (rad, counter-clockwise from x)."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from math import cos, hypot, pi, sin
 from typing import Final
 
-from agent.common import random_streams
-from agent.control.hand import Pose
-from agent.fleet.fault_rules import SENSOR_FIELDS
-from agent.fleet.sections import Robot
-from agent.links.fault_plan import FaultPlan
-from agent.links.timed_rules import SensorFaults
+from handfast.agent.common import random_streams
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.fault_rules import SENSOR_FIELDS
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.timed_rules import SensorFaults
 
 _NONE: Final = SensorFaults()
 

@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent.common.named_tuples import new
-from agent.common.time import NS_PER_S, MachineClock
-from agent.control.hand import Pose
-from agent.fleet.model import Fleet
-from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.links.ingress import Ingress
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import (
+from handfast.agent.common.named_tuples import new
+from handfast.agent.common.time import NS_PER_S, MachineClock
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
+from handfast.agent.links.ingress import Ingress
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.types import (
     ACTS_PERIODS,
     BYTES_MAX,
     CHECK_TEXT_MIN,
@@ -36,12 +36,12 @@ from agent.messages.types import (
     Wrench,
     clipped,
 )
-from agent.messages.versions import can_be
-from agent.supervision.lasting_orders import LastingOrders
-from agent.supervision.state_machine import at_rest
-from agent.supervision.stop_latch import StopLatch
-from plant.backend import COAST, Check, Command, PlantBackend, Reading
-from plant.measurement import Measurement
+from handfast.agent.messages.versions import can_be
+from handfast.agent.supervision.lasting_orders import LastingOrders
+from handfast.agent.supervision.state_machine import at_rest
+from handfast.agent.supervision.stop_latch import StopLatch
+from handfast.plant.backend import COAST, Check, Command, PlantBackend, Reading
+from handfast.plant.measurement import Measurement
 
 CHECKS_PERIOD_NS: Final = NS_PER_S
 CLOCK_STEP_NS: Final = NS_PER_S // 1000
@@ -56,7 +56,8 @@ class PlantNode:
         condition: what it does, driving or braking, or that its body is released, and why.
 
     Raises:
-        agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
+        handfast.agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be
+        resolved.
     """
 
     def __init__(self, fleet: Fleet, robot: int, backend: PlantBackend) -> None:
@@ -74,7 +75,7 @@ class PlantNode:
         self._key_texts = key_expressions.status_texts(name, robot)
         geometry = None
         if not fleet.is_resolved:  # else without numpy, which takes its time
-            from agent.formation.geometry import resolve
+            from handfast.agent.formation.geometry import resolve
 
             geometry = resolve(fleet)
         self._missions = MissionChoice(fleet, geometry)

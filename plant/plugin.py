@@ -10,15 +10,15 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any, Final, TypeVar
 
-from agent.common import random_streams
-from agent.common.plugins import NoAnswerError, PluginError, attempt, blame, make, number, python
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable, show
-from agent.control.hand import Pose
-from agent.fleet import plants
-from agent.fleet.model import Fleet
-from agent.messages.types import FLOAT_MAX, FUTURE_NS_MAX, LEVELS, TEXT_MAX
-from plant.backend import Begin, Check, Command, Plant, Reading, Setup, VirtualBody
+from handfast.agent.common import random_streams
+from handfast.agent.common.plugins import NoAnswerError, PluginError, attempt, blame, make, number, python
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable, show
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import FLOAT_MAX, FUTURE_NS_MAX, LEVELS, TEXT_MAX
+from handfast.plant.backend import Begin, Check, Command, Plant, Reading, Setup, VirtualBody
 
 T = TypeVar("T")
 
@@ -190,7 +190,7 @@ def begin(fleet: Fleet, robot: int, how: Begin) -> PluginBody:
     """The body of a robot whose plant is a plugin; see `agent.fleet.plants.Kind.body`.
 
     Raises:
-        agent.common.plugins.PluginError: its class cannot be used, or fails while it is made.
+        handfast.agent.common.plugins.PluginError: its class cannot be used, or fails while it is made.
     """
     reference = fleet.robot(robot).plant
     return _made(reference, plants.load(reference), fleet, robot, how)

@@ -11,12 +11,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from agent.common.time import MachineClock
-from agent.links.fault_plan import FaultPlan
-from agent.links.ticks import Ticks
-from agent.messages.types import Outgoing
-from agent.node import INBOX_SIZE, TOLD_SHARE
-from plant.node import PlantNode
+from handfast.agent.common.time import MachineClock
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.ticks import Ticks
+from handfast.agent.messages.types import Outgoing
+from handfast.agent.node import INBOX_SIZE, TOLD_SHARE
+from handfast.plant.node import PlantNode
 
 
 class Pooled:

@@ -16,9 +16,9 @@ from pathlib import Path
 from struct import Struct
 from typing import Final
 
-from agent.control.hand import Pose
-from agent.recorder.segment_folder import PASSING
-from plant.backend import Check, Command, Place, PlantBackend, Reading
+from handfast.agent.control.hand import Pose
+from handfast.agent.recorder.segment_folder import PASSING
+from handfast.plant.backend import Check, Command, Place, PlantBackend, Reading
 
 _PLACE: Final = Struct("<Qddd")  # number of the record; x, y (m, W), heading (rad)
 _CHECKSUM: Final = Struct("<I")

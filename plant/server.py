@@ -8,16 +8,16 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from agent.common.time import Clock
-from agent.fleet.model import Fleet
-from agent.links.ticks import Ticks, plant_slot_ns
-from agent.runtime.loop import Log
-from agent.runtime.process import Start, StartError, log_name, logger
-from agent.runtime.process import main as process_main
-from agent.transport.bus import BusError
-from plant.backend import PlantBackend
-from plant.node import PlantNode
-from plant.pool import PlantPool, PoolTicks
+from handfast.agent.common.time import Clock
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.ticks import Ticks, plant_slot_ns
+from handfast.agent.runtime.loop import Log
+from handfast.agent.runtime.process import Start, StartError, log_name, logger
+from handfast.agent.runtime.process import main as process_main
+from handfast.agent.transport.bus import BusError
+from handfast.plant.backend import PlantBackend
+from handfast.plant.node import PlantNode
+from handfast.plant.pool import PlantPool, PoolTicks
 
 
 def main(
@@ -43,7 +43,7 @@ def main(
 
     def start(fleet: Fleet, robot: int, clock: Clock, log: Log) -> Start:
         if not fleet.is_resolved:  # else without numpy, which takes its time
-            from agent.formation.geometry import resolved
+            from handfast.agent.formation.geometry import resolved
 
             fleet = resolved(fleet)
         if beside:

@@ -11,13 +11,13 @@ from dataclasses import replace
 from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
-from agent.common.named_tuples import new
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from agent.messages.types import ACTS_PERIODS
-from plant.backend import COAST, Begin, Command, Reading, VirtualBody
+from handfast.agent.common.named_tuples import new
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.messages.types import ACTS_PERIODS
+from handfast.plant.backend import COAST, Begin, Command, Reading, VirtualBody
 
 TURN_MAX: Final = 0.5
 """Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path,
@@ -234,7 +234,7 @@ def from_fleet(fleet: Fleet, robot: int, at: tuple[float, float, float] | None =
     rad, W).
 
     Raises:
-        agent.fleet.model.FleetError: the fleet has no such robot.
+        handfast.agent.fleet.model.FleetError: the fleet has no such robot.
     """
     body = fleet.robot(robot)
     if at is not None:

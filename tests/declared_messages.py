@@ -6,8 +6,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from agent.messages.declaration import Field, declared
-from agent.messages.types import CHECK_TEXT_MIN, EVERY_AUTHOR, FLOAT_MAX, CheckLine, Faults, Message
+from handfast.agent.messages.declaration import Field, declared
+from handfast.agent.messages.types import CHECK_TEXT_MIN, EVERY_AUTHOR, FLOAT_MAX, CheckLine, Faults, Message
 
 ROWS_MAX = 64
 NUMBER = st.integers(-(2**53), 2**53) | st.floats(-FLOAT_MAX, FLOAT_MAX)

@@ -9,8 +9,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.transport.transport import Transport
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.transport.transport import Transport
 from tests.process.harness import PATIENCE_S, wait_for
 
 

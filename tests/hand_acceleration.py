@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from agent.control.hand import PoseTuple
+from handfast.agent.control.hand import PoseTuple
 
 
 def hand_acceleration(

@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.time import NS_PER_S
-from agent.control import hand
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.formation.trajectory import make_trajectory
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import PlantState
-from deploy.analysis.stability import SETTLED
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import hand
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import PlantState
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.simulate.simulation import Simulation
 
 Floats = NDArray[np.float64]
 

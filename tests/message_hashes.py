@@ -70,13 +70,15 @@ def drives() -> list[str]:
 
 def fleet_of(name: str) -> Any:
     """The resolved fleet of a drive."""
-    fleet = module("agent.fleet.loading", "agent.fleet.model", "agent.fleet")
-    geometry = module("agent.formation.geometry", "agent.formation")
+    fleet = module("handfast.agent.fleet.loading", "handfast.agent.fleet.model", "handfast.agent.fleet")
+    geometry = module("handfast.agent.formation.geometry", "handfast.agent.formation")
     if name.startswith("chaos-"):
         text = (DRAWN / f"{name.removeprefix('chaos-')}.toml").read_text(encoding="utf-8")
     else:
         arguments = module(
-            "deploy.console.arguments", "deploy.inventory.arguments", "deploy.console.arguments"
+            "handfast.deploy.console.arguments",
+            "handfast.deploy.inventory.arguments",
+            "handfast.deploy.console.arguments",
         )
         text = arguments.fleet_path(name).read_text(encoding="utf-8")
         if name == "reserve":
@@ -102,8 +104,8 @@ def without_texts(decode: Callable[[bytes], Any], payload: bytes) -> bytes:
 
 def digest_of(name: str, texts: bool) -> str:
     """The line of one drive."""
-    simulation = module("deploy.simulate.simulation", "deploy.simulate.simulation")
-    decode = module("agent.messages.types.codec", "agent.messages.codec").decode
+    simulation = module("handfast.deploy.simulate.simulation", "handfast.deploy.simulate.simulation")
+    decode = module("handfast.agent.messages.types.codec", "handfast.agent.messages.codec").decode
     sha, count = hashlib.sha256(), 0
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:

@@ -9,14 +9,14 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from agent.common.time import NS_PER_S
-from agent.control import hand
-from agent.control.hand import Pose
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved
-from agent.formation.points import Floats
-from deploy.simulate.simulation import Simulation
-from plant.backend import VirtualBody
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import hand
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.formation.points import Floats
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.plant.backend import VirtualBody
 
 SETTLED_M: Final = 0.15
 LATE_S: Final = 15.0

@@ -8,19 +8,19 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.orders import OrderSection
-from agent.formation.geometry import resolved
-from agent.messages.codec import decode
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.simulator.in_memory import MemoryTransport, SimulatedRoverPlant
-from bridges.mavlink.simulator.rover import Rover
-from deploy.console.data_files import FLEETS
-from deploy.faults.process_actions import Action, What
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
-from deploy.simulate.simulation import LATENCY_NS, Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages.codec import decode
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.simulator.in_memory import MemoryTransport, SimulatedRoverPlant
+from handfast.bridges.mavlink.simulator.rover import Rover
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.faults.process_actions import Action, What
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.simulate.simulation import LATENCY_NS, Simulation
 
 FORMATION: Final = (
     "formation.edges=[[1,2],[1,3],[2,3]]",

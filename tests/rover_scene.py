@@ -9,20 +9,20 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.supervision.state_machine import at_rest
-from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.bridge.backend import MavlinkPlant, session
-from bridges.mavlink.session.signing import Signing
-from bridges.mavlink.simulator.in_memory import LATENCY_NS, STEP_NS
-from bridges.mavlink.simulator.rover import Rover
-from bridges.mavlink.simulator.settings import Settings, settings_of
-from deploy.console.data_files import FLEETS
-from plant.backend import Check, Command, Reading
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.supervision.state_machine import at_rest
+from handfast.bridges.mavlink.ardupilot import constants, frames
+from handfast.bridges.mavlink.bridge.backend import MavlinkPlant, session
+from handfast.bridges.mavlink.session.signing import Signing
+from handfast.bridges.mavlink.simulator.in_memory import LATENCY_NS, STEP_NS
+from handfast.bridges.mavlink.simulator.rover import Rover
+from handfast.bridges.mavlink.simulator.settings import Settings, settings_of
+from handfast.deploy.console.data_files import FLEETS
+from handfast.plant.backend import Check, Command, Reading
 
 START_NS = 1_800_000_000 * NS_PER_S
 MASS = 20.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common import time
+from handfast.agent.common import time
 
 COMPILED: Final = not (time.__file__ or "").endswith((".py", ".pyc"))
 FORM: Final = "compiled" if COMPILED else "pure Python"

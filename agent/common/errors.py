@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-_OURS: Final = ("agent", "plant", "bridges", "deploy")
+_OPERATOR: Final = "handfast.deploy"
 _EXTRAS: Final = {
     "pymap3d": ("rovers'", "rover"),
     "serial": ("rovers'", "rover"),
@@ -32,7 +32,7 @@ def packages_named(what: str = "this") -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         name = (error.name or "").partition(".")[0]
-        if not name or (name in _OURS and error.name != "deploy"):
+        if not name or (name == "handfast" and error.name != _OPERATOR):
             raise
         whose, extra = _EXTRAS.get(name, ("operator's", "operator"))
         raise MissingPackageError(

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NoReturn
 
-from agent.common.errors import Error
-from agent.common.plugins import attempt, blame
-from agent.common.reader import Problem
-from agent.common.settings import Entry, Sectioned, T, entries
-from agent.common.wording import joined
+from handfast.agent.common.errors import Error
+from handfast.agent.common.plugins import attempt, blame
+from handfast.agent.common.reader import Problem
+from handfast.agent.common.settings import Entry, Sectioned, T, entries
+from handfast.agent.common.wording import joined
 
 
 class ModelError(Error, ValueError):

@@ -16,16 +16,16 @@ from numbers import Real
 from types import UnionType
 from typing import Any, Final, Literal, NoReturn, Union, get_args, get_origin
 
-from agent.common.errors import Error
-from agent.common.reader import Reader
-from agent.common.settings import Entry, T, entries, section_entry
-from agent.common.wording import did_you_mean, joined, printable, show
+from handfast.agent.common.errors import Error
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import Entry, T, entries, section_entry
+from handfast.agent.common.wording import did_you_mean, joined, printable, show
 
 _REFERENCE: Final = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*:[^\W\d]\w*")
 _NAME: Final = re.compile(r"[^\W\d][\w-]{0,60}")
 _NAMES_SAY: Final = "a name has letters, digits, - and _, and begins with no digit"
 _SECTION: Final = re.compile(r"[a-z][a-z0-9_]{0,40}")
-_OURS: Final = ("agent", "plant", "bridges", "deploy", "handfast")
+_OURS: Final = ("handfast",)
 _BETWEEN: Final = (*_OURS, "importlib", "dataclasses", "typing")
 """Packages whose code is not what failed: it calls that of others."""
 _ABSENT: Final = object()

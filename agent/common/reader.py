@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from types import UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin
 
-from agent.common.quantities import UNITS, Unit, quantity
-from agent.common.settings import Entry, Sectioned, Setting, entries
-from agent.common.wording import describe, did_you_mean, example, joined, key_text, printable, show
+from handfast.agent.common.quantities import UNITS, Unit, quantity
+from handfast.agent.common.settings import Entry, Sectioned, Setting, entries
+from handfast.agent.common.wording import describe, did_you_mean, example, joined, key_text, printable, show
 
 # What would move a terminal's cursor or turn the direction of writing.
 _CONTROL: Final = re.compile("[\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")

@@ -9,7 +9,7 @@ from dataclasses import is_dataclass
 from types import UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin
 
-from agent.common.settings import Setting
+from handfast.agent.common.settings import Setting
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _BEGINNING_MIN: Final = 3

@@ -15,7 +15,7 @@ from math import hypot, inf
 from operator import attrgetter
 from typing import Final, NamedTuple, Protocol
 
-from agent.fleet.model import Fleet
+from handfast.agent.fleet.model import Fleet
 
 _SAME_PLACE_M: Final = 1e-6
 """Two places of a boundary nearer to each other than this, felt from the same side, are one."""

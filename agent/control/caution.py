@@ -11,14 +11,14 @@ from collections.abc import Iterable
 from math import hypot, inf
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Hand
-from agent.control.peers.beliefs import said_doubt
-from agent.control.peers.forecast import Course
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.formation.reference import Instant, Reference
-from agent.messages.types import HandState
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.beliefs import said_doubt
+from handfast.agent.control.peers.forecast import Course
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.formation.reference import Instant, Reference
+from handfast.agent.messages.types import HandState
 
 PACE: Final = 0.45
 """m s: speed (m/s), as seen from its place, times the square of the age (s) of what others know of it."""

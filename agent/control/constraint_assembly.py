@@ -11,25 +11,25 @@ from collections.abc import Iterator
 from math import hypot
 from typing import Final
 
-from agent.common.quantities import DISTANCE_MIN, Vector
-from agent.common.time import NS_PER_S
-from agent.control import dodging, hand, law, safety_filter
-from agent.control.caution import TURNED
-from agent.control.couplings import Constraint
-from agent.control.detour import LEAVING, SPEED_MIN, Blocker
-from agent.control.gains import gains_of, one_sided
-from agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.control.peers.prediction import Prediction, coasting
-from agent.control.peers.rolling import ROLL_ERROR
-from agent.control.proximity import Proximity
-from agent.control.right_of_way import RightOfWay
-from agent.control.safety_distances import acceleration_max, barrier_rate, speed_max
-from agent.fleet.model import Fleet
-from agent.formation.reference import Edge
-from agent.messages.types import HandState
+from handfast.agent.common.quantities import DISTANCE_MIN, Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import dodging, hand, law, safety_filter
+from handfast.agent.control.caution import TURNED
+from handfast.agent.control.couplings import Constraint
+from handfast.agent.control.detour import LEAVING, SPEED_MIN, Blocker
+from handfast.agent.control.gains import gains_of, one_sided
+from handfast.agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.prediction import Prediction, coasting
+from handfast.agent.control.peers.rolling import ROLL_ERROR
+from handfast.agent.control.proximity import Proximity
+from handfast.agent.control.right_of_way import RightOfWay
+from handfast.agent.control.safety_distances import acceleration_max, barrier_rate, speed_max
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.reference import Edge
+from handfast.agent.messages.types import HandState
 
 MOST_OF: Final = 0.7
 """So much of what gets a robot out of a body's way has to keep all else: where that leaves less of it, who

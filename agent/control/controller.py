@@ -12,22 +12,22 @@ from collections.abc import Collection, Iterator
 from math import ceil, hypot, inf
 from typing import TYPE_CHECKING, Final
 
-from agent.common.named_tuples import new
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.control import hand, law, safety_filter
-from agent.control.caution import Caution
-from agent.control.constraint_assembly import ConstraintAssembly, Scene
-from agent.control.couplings import COUPLINGS
-from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
-from agent.control.gains import gains_of
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.control.peers.prediction import BRAKING_TIME_S, constraint_decay
-from agent.control.peers.rolling import asked, rolls_of, setpoint
-from agent.control.proximity import Proximity
-from agent.control.right_of_way import RightOfWay
-from agent.control.safety_distances import (
+from handfast.agent.common.named_tuples import new
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import hand, law, safety_filter
+from handfast.agent.control.caution import Caution
+from handfast.agent.control.constraint_assembly import ConstraintAssembly, Scene
+from handfast.agent.control.couplings import COUPLINGS
+from handfast.agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
+from handfast.agent.control.gains import gains_of
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.prediction import BRAKING_TIME_S, constraint_decay
+from handfast.agent.control.peers.rolling import asked, rolls_of, setpoint
+from handfast.agent.control.proximity import Proximity
+from handfast.agent.control.right_of_way import RightOfWay
+from handfast.agent.control.safety_distances import (
     RATE_SHARE,
     SPEED_SHARE,
     TURN_MAX,
@@ -37,17 +37,17 @@ from agent.control.safety_distances import (
     speed_max,
     speeding_rate,
 )
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, start_hand
-from agent.formation.mission_plan import Plan
-from agent.formation.reference import Edge, Reference
-from agent.formation.trajectory import Sample
-from agent.links.ticks import next_tick_ns
-from agent.messages.codec import Mark, mark_of
-from agent.messages.types import ACTS_PERIODS, Forces, HandState, PlantState, Setpoint
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry, start_hand
+from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.formation.reference import Edge, Reference
+from handfast.agent.formation.trajectory import Sample
+from handfast.agent.links.ticks import next_tick_ns
+from handfast.agent.messages.codec import Mark, mark_of
+from handfast.agent.messages.types import ACTS_PERIODS, Forces, HandState, PlantState, Setpoint
 
 if TYPE_CHECKING:
-    from agent.control.own_law import OwnLaw
+    from handfast.agent.control.own_law import OwnLaw
 
 LOOK_AHEAD_NS: Final = NS_PER_S
 """So long before the epoch a robot begins to look whose way it may be in."""
@@ -153,7 +153,7 @@ class Controller:
         self.coupling: Final = COUPLINGS[control.coupling](gains_of(fleet), self.peers)
         self._own_law: OwnLaw | None = None
         if control.law is not None:
-            from agent.control.own_law import OwnLaw  # here: others do not need it
+            from handfast.agent.control.own_law import OwnLaw  # here: others do not need it
 
             self._own_law = OwnLaw(fleet, robot, self.peers)
         self._c1, self._c2 = control.c1, control.c2
@@ -281,7 +281,7 @@ class Controller:
             slower: share of the speed that it would have, for one that has to be careful.
 
         Raises:
-            agent.control.own_law.LawError: a law of others gives nothing to drive by.
+            handfast.agent.control.own_law.LawError: a law of others gives nothing to drive by.
         """
         acting_ns = self.acting_ns(now_ns)
         body = self._pose_at(plant, acting_ns)

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.control import law
-from agent.control.peers.peers import Peers
-from agent.control.peers.prediction import Prediction
-from agent.messages.types import NEIGHBOURS_MAX
+from handfast.agent.common.quantities import Vector
+from handfast.agent.control import law
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.prediction import Prediction
+from handfast.agent.messages.types import NEIGHBOURS_MAX
 
 Key = int | str
 """Of a multiplier: a robot's id for an edge, minus its id where it is only kept away from, the name of a

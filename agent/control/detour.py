@@ -25,7 +25,7 @@ from __future__ import annotations
 from math import atan2, cos, hypot, inf, remainder, sin, sqrt, tau
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
+from handfast.agent.common.quantities import Vector
 
 PATIENCE_S: Final = 0.8
 """A robot is blocked after so long by what stands still for good."""

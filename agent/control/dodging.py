@@ -12,8 +12,8 @@ from itertools import product
 from math import cos, inf, sin
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
-from agent.control.hand import PoseTuple
+from handfast.agent.common.quantities import Vector
+from handfast.agent.control.hand import PoseTuple
 
 Way = Sequence[Vector]
 """Where a body is every `STEP_S` from now on, until it rests; m, W."""

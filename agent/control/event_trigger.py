@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from math import hypot
 from typing import Final
 
-from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.control.peers.forecast import Forecast
-from agent.control.peers.prediction import Prediction, as_it_came, coasting
-from agent.control.peers.rolling import ROLL_ERROR
-from agent.messages.trickle_timer import TrickleTimer
-from agent.messages.types import HEARD_ROUNDS, HandState
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.control.peers.forecast import Forecast
+from handfast.agent.control.peers.prediction import Prediction, as_it_came, coasting
+from handfast.agent.control.peers.rolling import ROLL_ERROR
+from handfast.agent.messages.trickle_timer import TrickleTimer
+from handfast.agent.messages.types import HEARD_ROUNDS, HandState
 
 LOOKAHEAD_S: Final = 0.5
 """Places are compared so long after the tick: a velocity that is off counts by what it makes of them until

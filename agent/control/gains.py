@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.control.law import Gains
-from agent.control.safety_distances import speed_max
-from agent.fleet.model import Fleet
+from handfast.agent.control.law import Gains
+from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.fleet.model import Fleet
 
 SOFTNESS: Final = 4.0
 """k_2 s^2 of an edge (measured): above, folded shapes come apart; the less, the sooner a formation stands."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN, Vector
+from handfast.agent.common.quantities import DISTANCE_MIN, Vector
 
 RELAXATION_MIN: Final = 1e-3
 """Least `Gains.relaxation`: phi has a pole at rho = r_s and changes its sign below it, so that a pair

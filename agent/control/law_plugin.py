@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from agent.common.quantities import Vector
-from agent.fleet.model import Fleet
+from handfast.agent.common.quantities import Vector
+from handfast.agent.fleet.model import Fleet
 
 
 class Neighbour(NamedTuple):

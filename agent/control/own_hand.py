@@ -5,12 +5,12 @@ from __future__ import annotations
 from math import exp, hypot
 from typing import Final
 
-from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.control.controller import Controller
-from agent.control.hand import Hand
-from agent.control.peers.prediction import BRAKING_TIME_S
-from agent.control.peers.rolling import ROLL_ERROR, Rolls, arc, middle, moves
-from agent.messages.types import FLOAT_MAX, LOST_MS_MAX, PlantState, Setpoint
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.control.controller import Controller
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.prediction import BRAKING_TIME_S
+from handfast.agent.control.peers.rolling import ROLL_ERROR, Rolls, arc, middle, moves
+from handfast.agent.messages.types import FLOAT_MAX, LOST_MS_MAX, PlantState, Setpoint
 
 LAST_PLACE_NS: Final = NS_PER_S
 """A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that

@@ -11,21 +11,21 @@ from inspect import iscoroutinefunction
 from math import inf, nan
 from typing import Any, NoReturn, TypeVar
 
-from agent.common import plugins
-from agent.common.errors import Error
-from agent.common.plugins import blame, number, python
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable
-from agent.control.hand import Hand
-from agent.control.law_plugin import Law, Moment, Neighbour, Reference
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.fleet.model import Fleet
-from agent.fleet.sections import load_law
-from agent.formation.reference import Edge
-from agent.formation.trajectory import Sample
-from agent.messages.types import FLOAT_MAX, OWN_MAX
+from handfast.agent.common import plugins
+from handfast.agent.common.errors import Error
+from handfast.agent.common.plugins import blame, number, python
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.law_plugin import Law, Moment, Neighbour, Reference
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import load_law
+from handfast.agent.formation.reference import Edge
+from handfast.agent.formation.trajectory import Sample
+from handfast.agent.messages.types import FLOAT_MAX, OWN_MAX
 
 T = TypeVar("T")
 

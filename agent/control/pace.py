@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.safety_distances import LOWEST_SHARE, barrier_rate
-from agent.fleet.model import Fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.safety_distances import LOWEST_SHARE, barrier_rate
+from handfast.agent.fleet.model import Fleet
 
 PERIOD_MAX_S: Final = 0.25
 """No step has a longer period: what is older counts as late (`UNSURE_NS`), and a stop waits no longer."""

@@ -10,15 +10,15 @@ from collections.abc import Collection
 from math import hypot, inf
 from typing import Final
 
-from agent.common.quantities import DISTANCE_MIN
-from agent.common.time import NS_PER_S
-from agent.control.boundaries import Boundary, fence_of, obstacles_of
-from agent.control.hand import Hand
-from agent.control.peers.beliefs import DOUBT_RATE, Stretch
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.control.safety_distances import (
+from handfast.agent.common.quantities import DISTANCE_MIN
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.boundaries import Boundary, fence_of, obstacles_of
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.beliefs import DOUBT_RATE, Stretch
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.safety_distances import (
     acceleration_max,
     avoidance_distance,
     barrier_rate,
@@ -26,8 +26,8 @@ from agent.control.safety_distances import (
     sensing_distance,
     speed_max,
 )
-from agent.fleet.model import Fleet
-from agent.formation.mission_plan import Plan
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.mission_plan import Plan
 
 AHEAD_S: Final = 0.5
 """A robot that comes closer is listened to so much earlier: beacons and looks take about as long."""

@@ -25,19 +25,19 @@ from collections.abc import Container, Iterable, Mapping
 from math import ceil, hypot
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.control.hand import Hand
-from agent.control.peers.beliefs import DOUBT_MAX, stands_after
-from agent.control.peers.lanes import Lane, Run, offset
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.control.safety_distances import barrier_rate, speed_max
-from agent.control.safety_filter import HalfPlane, keep_clear
-from agent.fleet.model import Fleet
-from agent.formation.reference import Reference
-from agent.messages.codec import Mark
-from agent.messages.types import HandState
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.beliefs import DOUBT_MAX, stands_after
+from handfast.agent.control.peers.lanes import Lane, Run, offset
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.safety_distances import barrier_rate, speed_max
+from handfast.agent.control.safety_filter import HalfPlane, keep_clear
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.reference import Reference
+from handfast.agent.messages.codec import Mark
+from handfast.agent.messages.types import HandState
 
 LANE_SHARE: Final = 2.0
 """Half the width of a lane, in safe distances: so a body that stands on it can be passed within it."""

@@ -7,7 +7,7 @@ from itertools import islice
 from math import hypot, inf
 from typing import Final
 
-from agent.fleet.model import Fleet
+from handfast.agent.fleet.model import Fleet
 
 _ALONE: Final = 2.5
 """d_a / r_s of a formation without an edge."""

@@ -12,9 +12,9 @@ from __future__ import annotations
 from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
-from agent.common.named_tuples import new
-from agent.common.quantities import DISTANCE_MIN
-from agent.control.hand import PoseTuple
+from handfast.agent.common.named_tuples import new
+from handfast.agent.common.quantities import DISTANCE_MIN
+from handfast.agent.control.hand import PoseTuple
 
 BODY: Final = 0
 STANDING: Final = 1

@@ -11,15 +11,15 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.common.reader import Reader
-from agent.common.wording import show
-from agent.fleet.fault_checks import check_faults
-from agent.fleet.hosts import PORT_MAX, check_hosts, has_host_routers
-from agent.fleet.orders import check_orders
-from agent.fleet.plants import KINDS
-from agent.fleet.safety import check_safety
-from agent.fleet.trajectory_checks import check_trajectory
-from agent.messages.types import NEIGHBOURS_MAX
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.wording import show
+from handfast.agent.fleet.fault_checks import check_faults
+from handfast.agent.fleet.hosts import PORT_MAX, check_hosts, has_host_routers
+from handfast.agent.fleet.orders import check_orders
+from handfast.agent.fleet.plants import KINDS
+from handfast.agent.fleet.safety import check_safety
+from handfast.agent.fleet.trajectory_checks import check_trajectory
+from handfast.agent.messages.types import NEIGHBOURS_MAX
 
 
 def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.common.reader import Reader
-from agent.common.wording import show
-from agent.fleet.fault_rules import (
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.wording import show
+from handfast.agent.fleet.fault_rules import (
     ACTION_FIELDS,
     CLOCK_FIELDS,
     EFFECTS,

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, Generic, Literal, TypeVar, cast
 
-from agent.common.settings import about, setting
-from agent.fleet.fault_targets import LinkSet, Partition
-from agent.impairments.impairments import (
+from handfast.agent.common.settings import about, setting
+from handfast.agent.fleet.fault_targets import LinkSet, Partition
+from handfast.agent.impairments.impairments import (
     Corrupt,
     Delay,
     Duplicate,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast
 
-from agent.common.wording import show
+from handfast.agent.common.wording import show
 
 _IDS = r"\*|[0-9]{1,4}(?:\s*,\s*[0-9]{1,4})*"
 _LINK = re.compile(rf"\s*({_IDS})\s*(<->|->)\s*({_IDS})\s*")

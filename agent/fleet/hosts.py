@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from agent.common.reader import Reader
-from agent.common.settings import about, setting
-from agent.common.wording import show
-from agent.security.identity import MAIN, IdentityError, of_operator
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import about, setting
+from handfast.agent.common.wording import show
+from handfast.agent.security.identity import MAIN, IdentityError, of_operator
 
 PORT_MIN: Final = 1024
 

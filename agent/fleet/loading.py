@@ -15,24 +15,24 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
 
-from agent.common.models import ModelError, build, plain
-from agent.common.plugins import PluginError
-from agent.common.reader import Problem, Reader
-from agent.common.wording import printable, show
-from agent.fleet import plants
-from agent.fleet.checks import check_fleet
-from agent.fleet.model import Fleet, FleetError
-from agent.fleet.orders import ORDER_FIELDS
-from agent.fleet.plugin_tables import NAMES_A_PLUGIN, complete, read_plugins
-from agent.fleet.scenario import ScenarioError, parse_scenario, read_orders
-from agent.fleet.sections import (
+from handfast.agent.common.models import ModelError, build, plain
+from handfast.agent.common.plugins import PluginError
+from handfast.agent.common.reader import Problem, Reader
+from handfast.agent.common.wording import printable, show
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.checks import check_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.fleet.orders import ORDER_FIELDS
+from handfast.agent.fleet.plugin_tables import NAMES_A_PLUGIN, complete, read_plugins
+from handfast.agent.fleet.scenario import ScenarioError, parse_scenario, read_orders
+from handfast.agent.fleet.sections import (
     LAWS,
     REPLACED,
     TRAJECTORY_FIELDS,
     ControlSection,
     load_law,
 )
-from agent.fleet.trajectory_checks import kinds_by_field
+from handfast.agent.fleet.trajectory_checks import kinds_by_field
 
 FILE_BYTES_MAX: Final = 1 << 20
 """Largest fleet file, scenario or file of orders."""

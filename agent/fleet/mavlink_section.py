@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from agent.common.reader import Reader
-from agent.common.settings import setting
-from agent.common.wording import show
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import setting
+from handfast.agent.common.wording import show
 
 SIMULATOR: Final = "simulator"
 """As a connection: a simulated rover, which whoever starts the bridge starts as well."""

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from agent.common.errors import Error
-from agent.common.reader import Problem
-from agent.common.settings import about
-from agent.common.wording import printable, show
-from agent.fleet.fault_rules import FaultsSection
-from agent.fleet.hosts import (
+from handfast.agent.common.errors import Error
+from handfast.agent.common.reader import Problem
+from handfast.agent.common.settings import about
+from handfast.agent.common.wording import printable, show
+from handfast.agent.fleet.fault_rules import FaultsSection
+from handfast.agent.fleet.hosts import (
     CROWD,
     CROWD_LEASE_MS,
     LEASE_MS,
@@ -27,10 +27,10 @@ from agent.fleet.hosts import (
     NetworkSection,
     RecordingSection,
 )
-from agent.fleet.orders import OrderSection
-from agent.fleet.process_section import ProcessSection
-from agent.fleet.routers import RouterPlace, routers_of
-from agent.fleet.safety import (
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.fleet.routers import RouterPlace, routers_of
+from handfast.agent.fleet.safety import (
     BEACON_HORIZONS,
     BEACONS_HZ,
     BEACONS_MANY,
@@ -39,7 +39,7 @@ from agent.fleet.safety import (
     ObstacleSection,
     SupervisionSection,
 )
-from agent.fleet.sections import (
+from handfast.agent.fleet.sections import (
     SEND_ALONE_S,
     SEND_PERIODS,
     Body,

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from agent.common.quantities import FAR_M, Vector
-from agent.common.reader import Reader
-from agent.common.settings import about, entries, setting
-from agent.common.wording import example, show
-from agent.fleet.sections import TrajectorySection
-from agent.fleet.trajectory_checks import check_trajectory
+from handfast.agent.common.quantities import FAR_M, Vector
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import about, entries, setting
+from handfast.agent.common.wording import example, show
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.fleet.trajectory_checks import check_trajectory
 
 Kind = Literal["join", "leave", "replace", "remove", "reshape", "stop", "resume"]
 

@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import Any, Final, NamedTuple
 
-from agent.common import plugins
-from agent.common.reader import Reader
-from agent.common.settings import Entry, section_entry
-from agent.common.wording import did_you_mean, show
-from agent.fleet.mavlink_section import LINK_FIELDS, MavlinkSection, check_links
+from handfast.agent.common import plugins
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import Entry, section_entry
+from handfast.agent.common.wording import did_you_mean, show
+from handfast.agent.fleet.mavlink_section import LINK_FIELDS, MavlinkSection, check_links
 
 GROUP: Final = "handfast.plants"
 """Group of entry points that are plants of others."""
-BASE: Final = "plant.backend:Plant"
+BASE: Final = "handfast.plant.backend:Plant"
 """What the class of a plant of others is derived from."""
 
 
@@ -47,7 +47,7 @@ class Kind(NamedTuple):
     says: str = ""
     body: str = ""
     virtual: str = ""
-    program: str = "plant"
+    program: str = "handfast.plant"
     simulator: str = ""
     vehicle: bool = False
     rolls_on_s: float = 0.0
@@ -66,13 +66,18 @@ class Kind(NamedTuple):
 KINDS: Final = {
     kind.name: kind
     for kind in (
-        Kind("unicycle", "is simulated", body="plant.unicycle:begin", virtual="plant.unicycle:begin"),
+        Kind(
+            "unicycle",
+            "is simulated",
+            body="handfast.plant.unicycle:begin",
+            virtual="handfast.plant.unicycle:begin",
+        ),
         Kind(
             "mavlink",
             "is an ArduPilot Rover, which `[robot.mavlink]` and `[datum]` tell of",
-            virtual="bridges.mavlink.simulator.in_memory:begin",
-            program="bridges.mavlink",
-            simulator="bridges.mavlink.simulator",
+            virtual="handfast.bridges.mavlink.simulator.in_memory:begin",
+            program="handfast.bridges.mavlink",
+            simulator="handfast.bridges.mavlink.simulator",
             vehicle=True,
             rolls_on_s=3.0,  # ArduRover, measured: it hears no setpoint for so long
             turns="max_yaw_rate_radps",
@@ -102,7 +107,7 @@ def kind(reference: str) -> Kind:
     """The kind of plant that a robot's `plant` names.
 
     Raises:
-        agent.common.plugins.PluginError: there is none.
+        handfast.agent.common.plugins.PluginError: there is none.
     """
     return KINDS.get(reference) or _kind_of_class(load(reference), reference)
 
@@ -110,8 +115,8 @@ def kind(reference: str) -> Kind:
 def _kind_of_class(plugin: type[Any], reference: str) -> Kind:
     return Kind(
         reference,
-        body="plant.plugin:begin",
-        virtual="plant.plugin:begin_virtual",
+        body="handfast.plant.plugin:begin",
+        virtual="handfast.plant.plugin:begin_virtual",
         vehicle=bool(plugin.vehicle),
         rolls_on_s=float(plugin.rolls_on_s),
         section=plugins.section(plugin, reference, ()),
@@ -128,7 +133,7 @@ def load(reference: str) -> type[Any]:
     """The class of a plant of others.
 
     Raises:
-        agent.common.plugins.PluginError: there is none.
+        handfast.agent.common.plugins.PluginError: there is none.
     """
     try:
         plugin = plugins.load(reference, GROUP, BASE)

@@ -6,11 +6,11 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
-from agent.common import plugins
-from agent.common.reader import Problem, Reader
-from agent.common.settings import Entry, entries
-from agent.fleet import plants
-from agent.fleet.sections import LAWS, LAWS_GROUP, Body, ControlSection, Robot, load_law
+from handfast.agent.common import plugins
+from handfast.agent.common.reader import Problem, Reader
+from handfast.agent.common.settings import Entry, entries
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.sections import LAWS, LAWS_GROUP, Body, ControlSection, Robot, load_law
 
 NAMES_A_PLUGIN: Final = re.compile(
     r"\s*((robot_defaults|robot\s*\.[^.=]*)\s*\.\s*plant|control\s*\.\s*law)\s*="

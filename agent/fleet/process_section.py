@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from agent.common.settings import setting
+from handfast.agent.common.settings import setting
 
 ABOVE_LINKS: Final = {"agent": 1, "plant": 2}
 """How far above that of the threads that carry its messages the priority of a process's own loop is. A plant

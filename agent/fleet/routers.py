@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from agent.fleet.hosts import HostSection, NetworkSection, names_host
-from agent.fleet.sections import Robot
-from agent.security.identity import MAIN
+from handfast.agent.fleet.hosts import HostSection, NetworkSection, names_host
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.security.identity import MAIN
 
 ROUTERS_CHOSEN: Final = 2
 """So many routers a fleet on hosts has whose file names none: where the host of one is lost, one is left."""

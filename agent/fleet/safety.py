@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from agent.common.quantities import FAR_M, Vector
-from agent.common.reader import Reader
-from agent.common.settings import about, setting
-from agent.common.wording import show
+from handfast.agent.common.quantities import FAR_M, Vector
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import about, setting
+from handfast.agent.common.wording import show
 
 CORNERS_MAX: Final = 200
 """Corners of one polygon: every robot measures its way to each side in every tick."""

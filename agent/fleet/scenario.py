@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from agent.common.models import build
-from agent.common.reader import Problem, Reader
-from agent.common.settings import about
-from agent.common.wording import show
-from agent.fleet.fault_checks import check_faults
-from agent.fleet.fault_rules import FaultsSection
-from agent.fleet.orders import OrderSection, check_orders
-from agent.fleet.sections import REPLACED
+from handfast.agent.common.models import build
+from handfast.agent.common.reader import Problem, Reader
+from handfast.agent.common.settings import about
+from handfast.agent.common.wording import show
+from handfast.agent.fleet.fault_checks import check_faults
+from handfast.agent.fleet.fault_rules import FaultsSection
+from handfast.agent.fleet.orders import OrderSection, check_orders
+from handfast.agent.fleet.sections import REPLACED
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,8 @@ def read_orders(raw: Mapping[str, Any], ids: Sequence[int]) -> tuple[OrderSectio
     """The orders in these tables, for a fleet of the robots `ids`.
 
     Raises:
-        agent.fleet.scenario.ScenarioError: with every problem; something else than ``[[order]]`` is one.
+        handfast.agent.fleet.scenario.ScenarioError: with every problem; something else than ``[[order]]`` is
+        one.
     """
     reader = Reader(_Orders)
     values = reader.read(raw)

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from agent.common import plugins
-from agent.common.quantities import FAR_M, Vector
-from agent.common.settings import Sectioned, Sections, T, about, setting
-from agent.common.wording import show
-from agent.fleet import plants
-from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
+from handfast.agent.common import plugins
+from handfast.agent.common.quantities import FAR_M, Vector
+from handfast.agent.common.settings import Sectioned, Sections, T, about, setting
+from handfast.agent.common.wording import show
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 
 SEND_PERIODS: Final = 12
 """Between two hand states of a robot that has nothing to say, as it is where the file does not say it."""
@@ -61,10 +61,10 @@ def load_law(reference: str) -> type[Any]:
     """The class of a law of others.
 
     Raises:
-        agent.common.plugins.PluginError: there is none.
+        handfast.agent.common.plugins.PluginError: there is none.
     """
     try:
-        return plugins.load(reference, LAWS_GROUP, "agent.control.law_plugin:Law", LAWS)
+        return plugins.load(reference, LAWS_GROUP, "handfast.agent.control.law_plugin:Law", LAWS)
     except plugins.PluginError as error:
         if ":" in reference:
             raise

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from agent.common.reader import Reader
-from agent.common.settings import entries
-from agent.common.wording import show
-from agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import entries
+from handfast.agent.common.wording import show
+from handfast.agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
 
 
 def check_trajectory(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.formation.points import as_edges
+from handfast.agent.formation.points import as_edges
 
 
 def components(n: int, edges: Any) -> tuple[tuple[int, ...], ...]:

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from agent.fleet.loading import digest
-from agent.fleet.model import Fleet
-from agent.formation.mission_plan import Plan, PlanError, plan_of
-from agent.messages.codec import Mark, mark_of, newer
-from agent.messages.types import Mission
+from handfast.agent.fleet.loading import digest
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.mission_plan import Plan, PlanError, plan_of
+from handfast.agent.messages.codec import Mark, mark_of, newer
+from handfast.agent.messages.types import Mission
 
 if TYPE_CHECKING:
-    from agent.formation.geometry import Geometry  # numpy: plants do without
+    from handfast.agent.formation.geometry import Geometry  # numpy: plants do without
 
 
 class MissionRefused(ValueError):

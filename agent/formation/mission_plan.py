@@ -12,20 +12,20 @@ from dataclasses import dataclass, field
 from math import hypot
 from typing import TYPE_CHECKING, Any
 
-from agent.common.models import build
-from agent.common.quantities import FAR_M, Vector
-from agent.common.reader import Reader
-from agent.common.settings import about
-from agent.common.time import NS_PER_S
-from agent.common.wording import show
-from agent.fleet.model import Fleet
-from agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
-from agent.fleet.trajectory_checks import check_trajectory
-from agent.formation.trajectory import Sample, Trajectory, make_trajectory
-from agent.messages.types import NEIGHBOURS_MAX, Mission, Setting
+from handfast.agent.common.models import build
+from handfast.agent.common.quantities import FAR_M, Vector
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import about
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import show
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
+from handfast.agent.fleet.trajectory_checks import check_trajectory
+from handfast.agent.formation.trajectory import Sample, Trajectory, make_trajectory
+from handfast.agent.messages.types import NEIGHBOURS_MAX, Mission, Setting
 
 if TYPE_CHECKING:
-    from agent.formation.geometry import Geometry  # numpy: plants do without
+    from handfast.agent.formation.geometry import Geometry  # numpy: plants do without
 
 Edges = dict[tuple[int, int], float]
 """Wanted distance (m) of each edge (i, j), i < j."""

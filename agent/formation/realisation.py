@@ -15,9 +15,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.fleet.model import FormationError
-from agent.formation.graph import components, connected
-from agent.formation.points import (
+from handfast.agent.fleet.model import FormationError
+from handfast.agent.formation.graph import components, connected
+from handfast.agent.formation.points import (
     Floats,
     Indices,
     as_edges,

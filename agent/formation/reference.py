@@ -27,14 +27,14 @@ from dataclasses import replace
 from math import hypot, sqrt
 from typing import Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN, Vector
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from agent.formation.mission_plan import Plan, plan_of
-from agent.formation.trajectory import Sample
-from agent.messages.codec import Mark, mark_of, newer
-from agent.messages.types import TIME_NS_MAX, Mission
+from handfast.agent.common.quantities import DISTANCE_MIN, Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.mission_plan import Plan, plan_of
+from handfast.agent.formation.trajectory import Sample
+from handfast.agent.messages.codec import Mark, mark_of, newer
+from handfast.agent.messages.types import TIME_NS_MAX, Mission
 
 LEAVE_FADE_NS: Final = 500_000_000
 """Within which the edges of a robot that leaves lose their weight: it brakes, and is not waited for."""

@@ -34,8 +34,8 @@ from itertools import pairwise
 from math import atan2, ceil, cos, hypot, inf, isfinite, sin, sqrt, tau
 from typing import Final, Protocol
 
-from agent.common.quantities import Vector
-from agent.fleet.sections import TrajectorySection
+from handfast.agent.common.quantities import Vector
+from handfast.agent.fleet.sections import TrajectorySection
 
 Sample = tuple[float, float, float, float, float, float]
 """x, y (m), vx, vy (m/s), ax, ay (m/s^2), in W."""

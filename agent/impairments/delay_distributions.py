@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import cache, lru_cache
 from math import erf, erfc, exp, pi, sin, sqrt
 
-from agent.common.random_streams import normal
+from handfast.agent.common.random_streams import normal
 
 _ROOT_HALF = sqrt(0.5)
 _CUT = 4.0  # netem's tables hold 16-bit numbers of 1/8192 jitter: they end at four jitters

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Self, TypeAlias, TypeVar
 
-from agent.common.quantities import (
+from handfast.agent.common.quantities import (
     bits_per_second,
     correlation,
     named,
@@ -29,11 +29,11 @@ from agent.common.quantities import (
     whole,
     within,
 )
-from agent.common.random_streams import normal, uniform
-from agent.impairments import delay_distributions
-from agent.impairments.loss_models import Loss
-from agent.impairments.markov_chains import Chain, correlated, happens
-from agent.impairments.range_model import Range
+from handfast.agent.common.random_streams import normal, uniform
+from handfast.agent.impairments import delay_distributions
+from handfast.agent.impairments.loss_models import Loss
+from handfast.agent.impairments.markov_chains import Chain, correlated, happens
+from handfast.agent.impairments.range_model import Range
 
 __all__ = [
     "Corrupt", "Delay", "Duplicate", "Impairment", "Loss", "Range", "Rate", "Reorder", "Slot", "from_trace",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Self
 
-from agent.common.quantities import correlation, named, ratio, shown, split, take_kind, text, whole
-from agent.common.random_streams import uniform
-from agent.impairments.markov_chains import Chain, chain, correlated, happens, two_states
+from handfast.agent.common.quantities import correlation, named, ratio, shown, split, take_kind, text, whole
+from handfast.agent.common.random_streams import uniform
+from handfast.agent.impairments.markov_chains import Chain, chain, correlated, happens, two_states
 
 _KINDS = ("random", "gemodel", "state", "every")
 _FORMS = {

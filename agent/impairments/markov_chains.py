@@ -16,7 +16,7 @@ from functools import lru_cache
 from itertools import accumulate
 from typing import TypeAlias
 
-from agent.common.random_streams import uniform
+from handfast.agent.common.random_streams import uniform
 
 Row: TypeAlias = tuple[tuple[int, float], ...]
 """Where one state goes: (state, probability), in the order in which a uniform number meets them; the last

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import erfc, log10, sqrt
 from typing import Any, Final, Self
 
-from agent.common.quantities import (
+from handfast.agent.common.quantities import (
     decibels,
     metres,
     metres_per_second,
@@ -19,7 +19,7 @@ from agent.common.quantities import (
     whole,
     within,
 )
-from agent.common.random_streams import uniform
+from handfast.agent.common.random_streams import uniform
 
 _RETRIES_MAX: Final = 15
 _OPTIONS: Final = {

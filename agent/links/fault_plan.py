@@ -10,17 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from agent.common.time import NS_PER_S, LocalTime
-from agent.fleet.fault_rules import (
+from handfast.agent.common.time import NS_PER_S, LocalTime
+from handfast.agent.fleet.fault_rules import (
     ACTION_FIELDS,
     CLOCK_FIELDS,
     SENSOR_FIELDS,
     FaultsSection,
     Rule,
 )
-from agent.fleet.model import Fleet
-from agent.fleet.scenario import ScenarioError, parse_scenario
-from agent.links.timed_rules import (
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
+from handfast.agent.links.timed_rules import (
     FOREVER_NS,
     LinkRules,
     SensorFaults,
@@ -29,7 +29,7 @@ from agent.links.timed_rules import (
     link_effects,
     named,
 )
-from agent.messages.types import EVERY_AUTHOR, Faults
+from handfast.agent.messages.types import EVERY_AUTHOR, Faults
 
 AUTHORS_MAX: Final = 16
 """Authors whose live rules hold at once."""

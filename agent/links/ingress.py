@@ -11,14 +11,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import LinkEmulator
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import FUTURE_NS_MAX, TOPICS, Faults, Message, Outgoing
-from agent.messages.validation import Malformed
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.link_emulator import LinkEmulator
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import FUTURE_NS_MAX, TOPICS, Faults, Message, Outgoing
+from handfast.agent.messages.validation import Malformed
 
 HELD_PERIOD_NS: Final = NS_PER_S
 """Live rules that are held are published again so often."""

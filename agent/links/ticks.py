@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
-from agent.common import random_streams
-from agent.fleet.hosts import CROWD
-from agent.fleet.model import Fleet
-from agent.links.fault_plan import FaultPlan
-from agent.messages import key_expressions
+from handfast.agent.common import random_streams
+from handfast.agent.fleet.hosts import CROWD
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.messages import key_expressions
 
 AGENTS_SHARE: Final = 0.5
 """The slots of agents lie in so large a part of the period after a round's time."""

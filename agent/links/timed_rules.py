@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.fleet.fault_rules import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.fault_rules import (
     EFFECTS,
     LIMIT,
     LINK_FIELDS,
@@ -16,7 +16,7 @@ from agent.fleet.fault_rules import (
     Impairments,
     Rule,
 )
-from agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
+from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
 
 FOREVER_NS: Final = 2**62
 """An end that never comes: later than any time of a message."""

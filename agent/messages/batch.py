@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import msgpack
 
-from agent.messages.types import BYTES_MAX
-from agent.messages.validation import Malformed
+from handfast.agent.messages.types import BYTES_MAX
+from handfast.agent.messages.validation import Malformed
 
 BATCH_BYTES: Final = 49_152
 """A batch is no larger than this and one message, which links let through."""

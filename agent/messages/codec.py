@@ -21,9 +21,9 @@ from zlib import crc32
 
 import msgpack
 
-from agent.common.compiled import COMPILED
-from agent.messages.fast_path import HEAD, Taker, omitted, taker
-from agent.messages.types import (
+from handfast.agent.common.compiled import COMPILED
+from handfast.agent.messages.fast_path import HEAD, Taker, omitted, taker
+from handfast.agent.messages.types import (
     BYTES_MAX,
     CLASSES,
     MISSION_BYTES_MAX,
@@ -34,7 +34,7 @@ from agent.messages.types import (
     Message,
     Mission,
 )
-from agent.messages.validation import Malformed, examined, shown
+from handfast.agent.messages.validation import Malformed, examined, shown
 
 TYPE_OF: Final = {cls: number for number, cls in enumerate(CLASSES)}
 _HEADS: Final[dict[type[Message], tuple[Any, ...]]] = {cls: (VERSION, TYPE_OF[cls]) for cls in CLASSES}
@@ -42,7 +42,7 @@ _FEWEST: Final = {cls: len(cls._fields) - len(rest) for cls in CLASSES if (rest 
 _examined: Final = examined
 _takers: Final[dict[int, Taker]] = {}
 """By the number of the class; each is made when the first of its messages comes, or by `be_ready`."""
-COMPILED_FAST_PATH: Final = "agent.messages.compiled_fast_path"
+COMPILED_FAST_PATH: Final = "handfast.agent.messages.compiled_fast_path"
 """Module that there is only where the rest is compiled."""
 _STATUS_VALUES_MAX: Final = 2048
 

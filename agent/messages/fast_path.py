@@ -1,6 +1,6 @@
 """The short way to check a message, written out of its declaration: Python without loops over fields (PURE).
 
-    python -m agent.messages.fast_path
+    python -m handfast.agent.messages.fast_path
 
 prints a module with the fast paths of all messages: `make compiled` makes C of it. Elsewhere that of a class
 is made when its first message comes (`taker`). What does not pass there goes the long way
@@ -14,8 +14,8 @@ from functools import cache
 from itertools import takewhile
 from typing import Any, Final
 
-from agent.messages.declaration import FLOAT_MAX, Field, declared
-from agent.messages.types import CLASSES, Faults, Message, Mission
+from handfast.agent.messages.declaration import FLOAT_MAX, Field, declared
+from handfast.agent.messages.types import CLASSES, Faults, Message, Mission
 
 HEAD: Final = 2
 """Version and type come before the fields."""
@@ -32,8 +32,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from agent.messages.declaration import FLOAT_MAX
-from agent.messages.types import {names}
+from handfast.agent.messages.declaration import FLOAT_MAX
+from handfast.agent.messages.types import {names}
 
 F: Final[float] = FLOAT_MAX
 new: Final[Any] = tuple.__new__

@@ -12,10 +12,10 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import Annotated, Any, Final, NamedTuple, get_args
 
-from agent.common.named_tuples import new
-from agent.messages.declaration import FLOAT_MAX as FLOAT_MAX
-from agent.messages.declaration import About
-from agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.common.named_tuples import new
+from handfast.agent.messages.declaration import FLOAT_MAX as FLOAT_MAX
+from handfast.agent.messages.declaration import About
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
 
 VERSION: Final = 7
 """Version of the protocol, the first field of every message."""
@@ -555,7 +555,7 @@ class Status(NamedTuple):
     state: Annotated[str, About("State of the agent's supervision")]
     transition: Annotated[
         str,
-        About("Row of agent.supervision.state_machine.TRANSITIONS that led there", before=""),
+        About("Row of handfast.agent.supervision.state_machine.TRANSITIONS that led there", before=""),
     ]
     reason: Annotated[str, About("Why it is in that state")]
     mission_version: Annotated[int, About("Version of the mission that the agent follows")]

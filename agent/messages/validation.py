@@ -10,9 +10,9 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any, Final
 
-from agent.messages.declaration import FLOAT_MAX, Field, declared
-from agent.messages.fast_path import omitted, rows_of_numbers
-from agent.messages.types import Faults, Message
+from handfast.agent.messages.declaration import FLOAT_MAX, Field, declared
+from handfast.agent.messages.fast_path import omitted, rows_of_numbers
+from handfast.agent.messages.types import Faults, Message
 
 REASONS: Final = ("oversized", "checksum", "malformed", "version", "type", "not_finite", "range")
 """Why payloads are refused; receivers count them by these names."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.messages.types import Mission, Resume, Stop
+from handfast.agent.messages.types import Mission, Resume, Stop
 
 AHEAD_US_MAX: Final = 24 * 3600 * 1_000_000
 """Versions are us of operators' clocks, which differ by less than a day. A robot that tells of a later order

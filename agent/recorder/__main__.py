@@ -1,4 +1,4 @@
-"""``python -m agent.recorder --fleet FILE --robot ID --folder DIR``: records what one robot says.
+"""``python -m handfast.agent.recorder --fleet FILE --robot ID --folder DIR``: records what one robot says.
 
 A process of its own on the robot's computer: a slow disk stalls only this one. It is linked to the robot's
 agent and plant and to nobody else, and it publishes nothing. Peers do not relay, so it hears what these
@@ -16,24 +16,24 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from agent.common.exit import BAD_INPUT, FAILED, PASSED
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, load_fleet, read_text
-from agent.fleet.model import Fleet, FleetError
-from agent.messages import key_expressions
-from agent.recorder.recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
-from agent.recorder.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
-from agent.recorder.segments import About, Received
-from agent.recorder.writer_thread import RecorderThread
-from agent.runtime.certificate_wait import wait_until_valid
-from agent.runtime.clock import RealClock
-from agent.runtime.loop import Log
-from agent.runtime.process import StartError, logger, open_bus, robot_arguments
-from agent.runtime.shutdown import Shutdown
-from agent.runtime.systemd_notify import SystemdNotifier
-from agent.runtime.version import handfast_version
-from agent.security.identity import of_robot
-from agent.transport.bus import Bus, BusError
+from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, load_fleet, read_text
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.messages import key_expressions
+from handfast.agent.recorder.recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
+from handfast.agent.recorder.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
+from handfast.agent.recorder.segments import About, Received
+from handfast.agent.recorder.writer_thread import RecorderThread
+from handfast.agent.runtime.certificate_wait import wait_until_valid
+from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import Log
+from handfast.agent.runtime.process import StartError, logger, open_bus, robot_arguments
+from handfast.agent.runtime.shutdown import Shutdown
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.runtime.version import handfast_version
+from handfast.agent.security.identity import of_robot
+from handfast.agent.transport.bus import Bus, BusError
 
 POLL_S: Final = 0.05
 """Time between two looks at the bus, s."""
@@ -75,7 +75,7 @@ class _WallClock:
 def about(fleet: Fleet, fleet_toml: str, robot: int) -> About:
     """Whose the segments of a robot are. Their numbers and times are still 0."""
     if not fleet.is_resolved:  # else without numpy, which takes its time
-        from agent.formation.geometry import resolved
+        from handfast.agent.formation.geometry import resolved
 
         fleet = resolved(fleet)
     try:
@@ -170,7 +170,7 @@ def _bus(fleet: Fleet, robot: int, folder: str | None, log: Log) -> Bus:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process. Returns its exit status: 0 when it was asked to end, 1 when it cannot begin now, 2
     for bad input."""
-    parser = robot_arguments("python -m agent.recorder", "Records what one robot of a fleet says.")
+    parser = robot_arguments("python -m handfast.agent.recorder", "Records what one robot of a fleet says.")
     parser.add_argument("--folder", required=True, type=Path, metavar="DIR", help="where the recording goes")
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)

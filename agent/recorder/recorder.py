@@ -10,10 +10,10 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.recorder.segment_folder import SegmentFolder
-from agent.recorder.segments import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.recorder.segment_folder import SegmentFolder
+from handfast.agent.recorder.segments import (
     KNOWN,
     ORDERS,
     OVERFLOW,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
-from agent.recorder.recorder import RobotRecorder
+from handfast.agent.recorder.recorder import RobotRecorder
 
 WAITING_BYTES_MAX: Final = 16_000_000
 """So much may wait for the disk: more than a minute of one robot."""

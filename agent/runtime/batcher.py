@@ -16,10 +16,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
-from agent.fleet.model import Fleet
-from agent.links.ticks import next_tick_ns
-from agent.messages import batch, key_expressions
-from agent.transport.batches import SAID_NS
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.ticks import next_tick_ns
+from handfast.agent.messages import batch, key_expressions
+from handfast.agent.transport.batches import SAID_NS
 
 AT: Final = 0.8
 """Batches of a round go out after so large a part of the period: agents have said what they say by then,

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from agent.runtime.systemd_notify import SystemdNotifier
-from agent.security.credentials import CredentialsError, NotValidNowError, load
-from agent.security.identity import Identity
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.security.credentials import CredentialsError, NotValidNowError, load
+from handfast.agent.security.identity import Identity
 
 LOOK_S: Final = 1.0
 """How often the certificate is looked at again."""

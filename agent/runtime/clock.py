@@ -10,7 +10,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Final
 
-from agent.common.time import NS_PER_S, LocalTime, MachineClock
+from handfast.agent.common.time import NS_PER_S, LocalTime, MachineClock
 
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 _TIME_NAMESPACE: Final = Path("/proc/self/ns/time")

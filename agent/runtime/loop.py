@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from agent.common.time import NS_PER_S, Clock
-from agent.common.wording import printable
-from agent.links.ticks import Deadlines, Ticks
-from agent.messages import key_expressions
-from agent.messages.codec import decode, head
-from agent.messages.types import Stop
-from agent.node import TOLD_SHARE, Node
-from agent.runtime.order_store import OrderStore
-from agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown
-from agent.runtime.systemd_notify import SystemdNotifier
-from agent.transport.bus import Bus
-from agent.transport.presence import Watches
+from handfast.agent.common.time import NS_PER_S, Clock
+from handfast.agent.common.wording import printable
+from handfast.agent.links.ticks import Deadlines, Ticks
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, head
+from handfast.agent.messages.types import Stop
+from handfast.agent.node import TOLD_SHARE, Node
+from handfast.agent.runtime.order_store import OrderStore
+from handfast.agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.transport.bus import Bus
+from handfast.agent.transport.presence import Watches
 
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""

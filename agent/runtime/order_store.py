@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Final
 from zlib import crc32
 
-from agent.common.time import NS_PER_S
-from agent.security.private_files import KeyFileError, exists, move, private_directory, read, write
-from agent.security.sealed_order import SEALED_BYTES_MAX
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.security.private_files import KeyFileError, exists, move, private_directory, read, write
+from handfast.agent.security.sealed_order import SEALED_BYTES_MAX
 
 STOP_FILE: Final = "stop.json"
 FORMAT: Final = 1
@@ -86,7 +86,7 @@ class OrderStore:
         log: writes a line of the process's log.
 
     Raises:
-        agent.security.private_files.KeyFileError: the folder is others' as well.
+        handfast.agent.security.private_files.KeyFileError: the folder is others' as well.
     """
 
     def __init__(self, folder: Path, robot: int, role: str, log: Callable[[str], None]) -> None:

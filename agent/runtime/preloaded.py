@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Final
 
-from agent.fleet.loading import digest, load_fleet
-from agent.fleet.model import Fleet
-from agent.fleet.scenario import parse_scenario
-from agent.formation.mission_plan import trajectory_parts, written_plan
-from agent.messages.codec import decode, encode
-from agent.messages.types import Mission, Place
+from handfast.agent.fleet.loading import digest, load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.scenario import parse_scenario
+from handfast.agent.formation.mission_plan import trajectory_parts, written_plan
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Mission, Place
 
 RULE: Final = '[[faults.rule]]\nloss = "1%"\n'
 """Any rule."""
@@ -25,7 +25,7 @@ def preload(path: str) -> Fleet:
     Not for a fleet with plugins: importing one runs the code of others.
 
     Raises:
-        agent.fleet.model.FleetError: there is none.
+        handfast.agent.fleet.model.FleetError: there is none.
     """
     fleet = load_fleet(path)
     for robot in fleet.robots:
@@ -52,7 +52,7 @@ def fleet_of(path: str, overrides: Sequence[str] = (), law: str | None = None) -
     """The fleet of a file, as it was read before, or else as it is now with what the command line sets.
 
     Raises:
-        agent.fleet.model.FleetError: there is none.
+        handfast.agent.fleet.model.FleetError: there is none.
     """
     if not overrides and law is None and path in _fleets:
         return _fleets[path]

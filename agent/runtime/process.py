@@ -12,30 +12,30 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from agent.common.errors import Error
-from agent.common.exit import BAD_INPUT, FAILED, PASSED
-from agent.common.time import Clock
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.links.fault_plan import FaultPlan
-from agent.links.ticks import Deadlines
-from agent.messages import key_expressions
-from agent.node import Node
-from agent.runtime.certificate_wait import wait_until_valid
-from agent.runtime.clock import RealClock
-from agent.runtime.loop import A_ROUTER, Log, OrderKeeper, loop
-from agent.runtime.order_store import OrderStore
-from agent.runtime.preloaded import fleet_of, started
-from agent.runtime.shutdown import Shutdown, add_parent_argument
-from agent.runtime.systemd_notify import SystemdNotifier
-from agent.security.credentials import CredentialsError, NotValidNowError
-from agent.security.identity import of_robot
-from agent.security.private_files import KeyFileError
-from agent.transport.bus import Bus, BusError, is_opening
-from agent.transport.sealed_bus import bus_for
+from handfast.agent.common.errors import Error
+from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.time import Clock
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.ticks import Deadlines
+from handfast.agent.messages import key_expressions
+from handfast.agent.node import Node
+from handfast.agent.runtime.certificate_wait import wait_until_valid
+from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import A_ROUTER, Log, OrderKeeper, loop
+from handfast.agent.runtime.order_store import OrderStore
+from handfast.agent.runtime.preloaded import fleet_of, started
+from handfast.agent.runtime.shutdown import Shutdown, add_parent_argument
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.security.credentials import CredentialsError, NotValidNowError
+from handfast.agent.security.identity import of_robot
+from handfast.agent.security.private_files import KeyFileError
+from handfast.agent.transport.bus import Bus, BusError, is_opening
+from handfast.agent.transport.sealed_bus import bus_for
 
 if TYPE_CHECKING:
-    from agent.runtime.realtime import RealTime
+    from handfast.agent.runtime.realtime import RealTime
 
 GARBAGE: Final = 5_000
 """The collector looks each time that so many more objects are there than were: a loop makes hardly any that
@@ -134,7 +134,8 @@ def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any)
     """The bus of one of a robot's processes: see `agent.transport.sealed_bus.bus_for`.
 
     Raises:
-        agent.transport.bus.BusError: it cannot be opened now; nor can it with a certificate that is not valid
+        handfast.agent.transport.bus.BusError: it cannot be opened now; nor can it with a certificate that is
+        not valid
             now (`agent.runtime.certificate_wait`).
         StartError: the fleet is secured and the robot's certificate cannot be used.
     """
@@ -171,7 +172,7 @@ def _realtime(fleet: Fleet, role: str, log: Log) -> RealTime | None:
     """Real time, where the fleet file asks for it; else nothing of it is loaded."""
     if not fleet.process.realtime:
         return None
-    from agent.runtime.realtime import RealTime
+    from handfast.agent.runtime.realtime import RealTime
 
     return RealTime(fleet.process, role, log)
 

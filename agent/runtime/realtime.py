@@ -11,8 +11,8 @@ A thread that runs on end would keep a core from everybody. The kernel leaves ot
 (``sched_rt_runtime_us``, sched(7)); and one that has run for `OVERRUN_S` without waiting once has its process
 go on with SCHED_OTHER, or be killed where even that does not work (RLIMIT_RTTIME).
 
-``python -m agent.runtime.realtime --role ROLE --priority N [--cpus A,B]`` asks for itself, prints what it has
-then (`agent.runtime.realtime_granted`) and ends: what a process would get that is started here.
+``python -m handfast.agent.runtime.realtime --role ROLE --priority N [--cpus A,B]`` asks for itself, prints
+what it has then (`agent.runtime.realtime_granted`) and ends: what a process would get that is started here.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.process_section import ABOVE_LINKS, ProcessSection
-from agent.runtime.realtime_granted import (
+from handfast.agent.fleet.process_section import ABOVE_LINKS, ProcessSection
+from handfast.agent.runtime.realtime_granted import (
     CAP_IPC_LOCK,
     KILLED_S,
     OVERRUN_S,
@@ -135,7 +135,7 @@ def _is_unit() -> bool:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Prints what a process would be granted that is started as this one was."""
-    parser = argparse.ArgumentParser(prog="python -m agent.runtime.realtime", allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="python -m handfast.agent.runtime.realtime", allow_abbrev=False)
     parser.add_argument("--role", required=True, choices=sorted(ABOVE_LINKS))
     parser.add_argument("--priority", required=True, type=int)
     parser.add_argument("--cpus", default="")

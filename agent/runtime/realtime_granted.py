@@ -1,8 +1,8 @@
 """What a process has been granted of real time, by looking at it (Linux), and how that is said.
 
 Whoever asked is not trusted to know: a sandbox, a limit or an overrun may have taken it away again.
-``python -m agent.runtime.realtime_granted PID ...`` prints what processes have, for who looks over ssh: JSON,
-an object for each, null for one that is not there.
+``python -m handfast.agent.runtime.realtime_granted PID ...`` prints what processes have, for who looks over
+ssh: JSON, an object for each, null for one that is not there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent.fleet.process_section import ProcessSection
+from handfast.agent.fleet.process_section import ProcessSection
 
 PRIORITY_MAX: Final = 99
 SCHED_FIFO: Final = 1

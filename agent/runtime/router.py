@@ -1,4 +1,4 @@
-"""``python -m agent.runtime.router --fleet FILE --number K``: the K-th router of a fleet.
+"""``python -m handfast.agent.runtime.router --fleet FILE --number K``: the K-th router of a fleet.
 
 It passes on what its clients say to those of them that listen, and links to the other routers. `handfast
 router` serves by the same loop.
@@ -17,25 +17,25 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from agent.common.exit import BAD_INPUT, FAILED, PASSED
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet, FleetError
-from agent.messages.key_expressions import alive, robot_of_alive
-from agent.runtime.batcher import Batcher
-from agent.runtime.certificate_wait import wait_until_valid
-from agent.runtime.loop import DIALLED, Log
-from agent.runtime.realtime import raise_limit
-from agent.runtime.shutdown import Shutdown, add_parent_argument
-from agent.runtime.systemd_notify import SystemdNotifier
-from agent.security.access_control import Security
-from agent.security.credentials import CredentialsError, load
-from agent.security.identity import MAIN, of_router
-from agent.security.refusals import FILTER
-from agent.transport.bus import Bus, BusError, Router, init_log
-from agent.transport.sealed_bus import secured
-from agent.transport.zenoh_log import ZenohLog
+from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.messages.key_expressions import alive, robot_of_alive
+from handfast.agent.runtime.batcher import Batcher
+from handfast.agent.runtime.certificate_wait import wait_until_valid
+from handfast.agent.runtime.loop import DIALLED, Log
+from handfast.agent.runtime.realtime import raise_limit
+from handfast.agent.runtime.shutdown import Shutdown, add_parent_argument
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.security.access_control import Security
+from handfast.agent.security.credentials import CredentialsError, load
+from handfast.agent.security.identity import MAIN, of_router
+from handfast.agent.security.refusals import FILTER
+from handfast.agent.transport.bus import Bus, BusError, Router, init_log
+from handfast.agent.transport.sealed_bus import secured
+from handfast.agent.transport.zenoh_log import ZenohLog
 
 POLL_NS: Final = NS_PER_S // 10
 """How often it looks at its links, and is seen to live."""
@@ -91,7 +91,7 @@ def security_of(fleet: Fleet, folder: Path, name: str = MAIN) -> Security | None
     """How the links of the router `name` are secured whose key is in `folder`; None for not at all.
 
     Raises:
-        agent.security.credentials.CredentialsError: the files are not there, or not valid.
+        handfast.agent.security.credentials.CredentialsError: the files are not there, or not valid.
     """
     if not fleet.is_secured:
         return None
@@ -164,7 +164,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process. Returns its exit status: 0 when it was asked to end, 1 when it cannot begin now, 2
     for bad input."""
     parser = argparse.ArgumentParser(
-        prog="python -m agent.runtime.router", description="A router of a fleet.", allow_abbrev=False
+        prog="python -m handfast.agent.runtime.router", description="A router of a fleet.", allow_abbrev=False
     )
     parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
     parser.add_argument("--number", type=int, default=1, metavar="K", help="which router, from 1")

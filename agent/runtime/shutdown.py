@@ -7,7 +7,7 @@ import signal
 from argparse import ArgumentParser
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 PARENT_PERIOD_NS: Final = 2 * NS_PER_S // 5
 """How often is looked for the parent process, ns."""

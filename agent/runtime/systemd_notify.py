@@ -9,7 +9,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Final
 
-from agent.common.wording import printable
+from handfast.agent.common.wording import printable
 
 SHARE: Final = 4
 """A loop says that it lives so many times within the time after which it would be killed."""

@@ -1,5 +1,5 @@
-"""``python -m agent.security``: a host's part in getting the certificates of its robots and its router,
-called over ssh.
+"""``python -m handfast.agent.security``: a host's part in getting the certificates of its robots and its
+router, called over ssh.
 
     request   says as JSON whether a certificate is needed, and then the request for it; a line for each
               robot, then for the router
@@ -18,18 +18,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from agent.common.exit import BAD_INPUT, PASSED
-from agent.security.certificates import PEM_BYTES_MAX
-from agent.security.credentials import CredentialsError, authority_of, make_request, store, wanting
-from agent.security.identity import Identity, IdentityError, addresses, of_robot, of_router
-from agent.security.private_files import reason
+from handfast.agent.common.exit import BAD_INPUT, PASSED
+from handfast.agent.security.certificates import PEM_BYTES_MAX
+from handfast.agent.security.credentials import CredentialsError, authority_of, make_request, store, wanting
+from handfast.agent.security.identity import Identity, IdentityError, addresses, of_robot, of_router
+from handfast.agent.security.private_files import reason
 
 _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status: 0, or 2 with one line on standard error."""
-    parser = argparse.ArgumentParser(prog="python -m agent.security", description="Credentials of robots.")
+    parser = argparse.ArgumentParser(
+        prog="python -m handfast.agent.security", description="Credentials of robots."
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     request = commands.add_parser("request", help="whether a certificate is needed, and the request for it")
     request.add_argument(

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from agent.messages import key_expressions
-from agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
+from handfast.agent.messages import key_expressions
+from handfast.agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
 
 _OUT: Final = "out"
 _LISTEN: Final = "listen"
@@ -75,7 +75,7 @@ def access_settings(
     the same list, and has looked already. All may listen to all of the fleet.
 
     Raises:
-        agent.security.identity.IdentityError: a name or id that no certificate can have.
+        handfast.agent.security.identity.IdentityError: a name or id that no certificate can have.
     """
     rules: list[dict[str, Any]] = [
         # Nothing is held back from those of the fleet. All others get nothing, whoever has signed their

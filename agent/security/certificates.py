@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.security.identity import Identity, IdentityError, parse
+from handfast.agent.security.identity import Identity, IdentityError, parse
 
 if TYPE_CHECKING:
     from cryptography import x509

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from agent.security import private_files
-from agent.security.certificates import (
+from handfast.agent.security import private_files
+from handfast.agent.security.certificates import (
     Certificate,
     CertificateError,
     authority_from_pem,
@@ -28,8 +28,8 @@ from agent.security.certificates import (
     pem_of_key,
     same_key,
 )
-from agent.security.identity import Identity
-from agent.security.private_files import KeyFileError
+from handfast.agent.security.identity import Identity
+from handfast.agent.security.private_files import KeyFileError
 
 if TYPE_CHECKING:
     from cryptography import x509

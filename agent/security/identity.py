@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Final
 
-from agent.messages.types import ROBOT_MAX
+from handfast.agent.messages.types import ROBOT_MAX
 
 ROLES: Final = ("robot", "operator", "router")
 """What an identity may be."""

@@ -10,11 +10,11 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.messages.codec import head
-from agent.messages.types import Mission, Resume, Stop
-from agent.security.sealed_order import Forged, Opener, Sealer
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import head
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.agent.security.sealed_order import Forged, Opener, Sealer
 
 AGE_NS_MAX: Final = 2 * NS_PER_S
 """Of what is sent once and not relayed (heartbeats, faults, questions) a seal is not older, nor that much

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgpack
 
-from agent.common.time import NS_PER_S
-from agent.messages.types import MISSION_BYTES_MAX, TIME_NS_MAX
-from agent.security.certificates import DER_BYTES_MAX, Certificate, CertificateError, issued
-from agent.security.credentials import Credentials
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import MISSION_BYTES_MAX, TIME_NS_MAX
+from handfast.agent.security.certificates import DER_BYTES_MAX, Certificate, CertificateError, issued
+from handfast.agent.security.credentials import Credentials
 
 if TYPE_CHECKING:
     from cryptography import x509

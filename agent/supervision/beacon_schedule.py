@@ -18,13 +18,13 @@ from collections.abc import Callable, Collection
 from math import hypot
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.control.peers.beliefs import said_doubt
-from agent.fleet.model import Fleet
-from agent.fleet.safety import ORDERS_HZ, ORDERS_ROBOTS
-from agent.messages.trickle_timer import TrickleTimer
-from agent.messages.types import SILENT_MAX, Beacon, Silent
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.control.peers.beliefs import said_doubt
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import ORDERS_HZ, ORDERS_ROBOTS
+from handfast.agent.messages.trickle_timer import TrickleTimer
+from handfast.agent.messages.types import SILENT_MAX, Beacon, Silent
 
 SURE_M: Final = 0.03
 """A place is told again that is off by so much more than its age makes up for: measurements scatter."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.messages.types import Beacon
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import Beacon
 
 LOOK_NS: Final = NS_PER_S // 2
 SILENT_NS: Final = NS_PER_S

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.messages.codec import Mark
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.codec import Mark
 
 AGAIN_NS: Final = NS_PER_S // 2
 """What was said is not said again for so long."""

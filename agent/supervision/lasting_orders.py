@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.messages.codec import encode
-from agent.messages.types import Mission, Resume, Stop
-from agent.supervision.stop_latch import StopLatch
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.agent.supervision.stop_latch import StopLatch
 
 Orders = tuple[bytes, ...]
 """Encoded orders: the last stop and resume, then the mission. Compared by identity, tick by tick."""

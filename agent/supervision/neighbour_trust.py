@@ -11,14 +11,14 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.controller import Controller
-from agent.control.hand import Hand
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import TRUST_GAINED_S
-from agent.fleet.model import Fleet
-from agent.supervision.overload import Overload
-from agent.supervision.state_machine import DRIVING, State
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.controller import Controller
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import TRUST_GAINED_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.supervision.overload import Overload
+from handfast.agent.supervision.state_machine import DRIVING, State
 
 SLOWEST: Final = 0.3
 """Share of its speed that a robot has left when it gives a neighbour up."""

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.formation.mission_choice import MissionChoice
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
-from agent.messages.versions import can_be
-from agent.supervision.gossip import AGAIN_NS, SPREAD_NS, Gossip
-from agent.supervision.stop_latch import StopLatch
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.mission_choice import MissionChoice
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
+from handfast.agent.messages.versions import can_be
+from handfast.agent.supervision.gossip import AGAIN_NS, SPREAD_NS, Gossip
+from handfast.agent.supervision.stop_latch import StopLatch
 
 UNMOVED_NS: Final = NS_PER_S // 2
 """A plant that brakes for so long while it is asked to drive may have missed a resume."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.named_tuples import new
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
-from agent.control.event_trigger import EventTrigger
-from agent.control.hand import Hand
-from agent.control.peers.peers import Peers
-from agent.fleet.model import Fleet
-from agent.formation.mission_choice import MissionChoice
-from agent.messages import key_expressions
-from agent.messages.codec import Mark, encode
-from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import (
+from handfast.agent.common.named_tuples import new
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
+from handfast.agent.control.event_trigger import EventTrigger
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.mission_choice import MissionChoice
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import Mark, encode
+from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.types import (
     HEARD_ROUNDS,
     NO_FORCES,
     Beacon,
@@ -25,8 +25,8 @@ from agent.messages.types import (
     Setpoint,
     Wrench,
 )
-from agent.supervision.beacon_schedule import BeaconSchedule
-from agent.supervision.stop_latch import StopLatch
+from handfast.agent.supervision.beacon_schedule import BeaconSchedule
+from handfast.agent.supervision.stop_latch import StopLatch
 
 
 class Outbox:

@@ -16,7 +16,7 @@ from collections import deque
 from operator import itemgetter
 from typing import Final
 
-from agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
 
 WINDOW_NS: Final = NS_PER_S
 WINDOW_PERIODS: Final = 20

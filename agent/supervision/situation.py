@@ -9,14 +9,14 @@ from __future__ import annotations
 from math import hypot, inf
 from typing import Final
 
-from agent.common.named_tuples import new
-from agent.common.time import NS_PER_S
-from agent.control.controller import Controller
-from agent.fleet.model import Fleet
-from agent.messages.types import FUTURE_NS_MAX, Heartbeat, Mission, PlantState
-from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.overload import SAID_NS, Overload
-from agent.supervision.state_machine import (
+from handfast.agent.common.named_tuples import new
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.controller import Controller
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import FUTURE_NS_MAX, Heartbeat, Mission, PlantState
+from handfast.agent.supervision.neighbour_trust import NeighbourTrust
+from handfast.agent.supervision.overload import SAID_NS, Overload
+from handfast.agent.supervision.state_machine import (
     ACTIVE,
     DRIVING,
     MISSION_OVER,
@@ -25,7 +25,7 @@ from agent.supervision.state_machine import (
     State,
     at_rest,
 )
-from agent.supervision.stop_latch import AWAITED, StopLatch
+from handfast.agent.supervision.stop_latch import AWAITED, StopLatch
 
 NOT_SAID: Final = "for an operator's word, or for one who drives by its mission: that is of before its start"
 """Why a robot does not drive by a mission that it has only been told of."""

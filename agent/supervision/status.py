@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from typing import Final
 
-from agent.common.named_tuples import new
-from agent.common.time import NS_PER_S
-from agent.control.peers.peer import NEVER, Peer
-from agent.messages.types import NeighbourStatus, Status, Total
-from agent.supervision.overload import Overload
+from handfast.agent.common.named_tuples import new
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.peers.peer import NEVER, Peer
+from handfast.agent.messages.types import NeighbourStatus, Status, Total
+from handfast.agent.supervision.overload import Overload
 
 STATUS_HZ: Final = 5.0
 """How often an agent says its status to operators, at the full rate of a drive..."""

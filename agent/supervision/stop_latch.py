@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from agent.messages.types import Resume, Stop
+from handfast.agent.messages.types import Resume, Stop
 
 AWAITED: Final = "waiting to be told to resume"
 """How a reason ends where only a resume is missing."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.messages import batch, key_expressions
-from agent.messages.validation import Malformed
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import batch, key_expressions
+from handfast.agent.messages.validation import Malformed
 
 SAID_NS: Final = NS_PER_S // 2
 """A router that has nothing to pass on sends an empty batch of beacons after so long."""

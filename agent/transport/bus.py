@@ -19,15 +19,15 @@ from typing import Any, Final, Literal
 
 import zenoh
 
-from agent.common.errors import Error
-from agent.common.time import NS_PER_S
-from agent.fleet.hosts import LEASE_MS
-from agent.messages.key_expressions import robot_of_alive
-from agent.node import inbox_size
-from agent.security.access_control import Security
-from agent.transport.batches import Batches
-from agent.transport.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
-from agent.transport.tcp_links import TcpLinks
+from handfast.agent.common.errors import Error
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.hosts import LEASE_MS
+from handfast.agent.messages.key_expressions import robot_of_alive
+from handfast.agent.node import inbox_size
+from handfast.agent.security.access_control import Security
+from handfast.agent.transport.batches import Batches
+from handfast.agent.transport.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
+from handfast.agent.transport.tcp_links import TcpLinks
 
 Mode = Literal["peer", "client", "router"]
 

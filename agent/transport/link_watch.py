@@ -25,9 +25,9 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.transport.run_delay import run_delay_ns
-from agent.transport.tcp_sockets import TcpSocket, borrowed, held, info_of, waiting_on
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.transport.run_delay import run_delay_ns
+from handfast.agent.transport.tcp_sockets import TcpSocket, borrowed, held, info_of, waiting_on
 
 PERIOD_NS: Final = NS_PER_S // 2
 """How often all links are looked at."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent.transport.bus import Bus, Presence
+from handfast.agent.transport.bus import Bus, Presence
 
 KEPT: Final = 6
 """So many that are not wanted any more are watched on: in a formation that moves the same ones come near and

@@ -12,17 +12,17 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.security.access_control import Security
-from agent.security.credentials import Credentials, load, load_whenever
-from agent.security.identity import Identity
-from agent.security.order_gate import OrderGate
-from agent.security.refusals import FILTER
-from agent.security.sealed_order import Opener, Sealer
-from agent.transport.batches import Batches
-from agent.transport.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
-from agent.transport.zenoh_log import ZenohLog
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.access_control import Security
+from handfast.agent.security.credentials import Credentials, load, load_whenever
+from handfast.agent.security.identity import Identity
+from handfast.agent.security.order_gate import OrderGate
+from handfast.agent.security.refusals import FILTER
+from handfast.agent.security.sealed_order import Opener, Sealer
+from handfast.agent.transport.batches import Batches
+from handfast.agent.transport.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
+from handfast.agent.transport.zenoh_log import ZenohLog
 
 Log = Callable[[str], None]
 
@@ -66,8 +66,8 @@ class SealedBus(Bus):
         bus: what else a `Bus` takes.
 
     Raises:
-        agent.transport.bus.BusError: see `Bus`.
-        agent.security.credentials.CredentialsError: the files are not there, or not valid.
+        handfast.agent.transport.bus.BusError: see `Bus`.
+        handfast.agent.security.credentials.CredentialsError: the files are not there, or not valid.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ from contextlib import suppress
 from struct import Struct
 from typing import Final
 
-from agent.transport.tcp_sockets import TcpSocket, TcpSockets, held
+from handfast.agent.transport.tcp_sockets import TcpSocket, TcpSockets, held
 
 _LINGER: Final = Struct("ii")  # whether, and for how many seconds
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.transport.link_watch import SOON_NS, LinkWatch
-from agent.transport.tcp_linger import Lingering
-from agent.transport.tcp_sockets import Calm, TcpSockets
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.transport.link_watch import SOON_NS, LinkWatch
+from handfast.agent.transport.tcp_linger import Lingering
+from handfast.agent.transport.tcp_sockets import Calm, TcpSockets
 
 WHOLE_LOOK_NS: Final = 10 * NS_PER_S
 """So often links are looked at one by one though none seems to have changed."""

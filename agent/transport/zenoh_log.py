@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Final, TextIO
 
-from agent.security.refusals import Refusals
+from handfast.agent.security.refusals import Refusals
 
 READ_MAX: Final = 131_072
 """Bytes that are read at once; of a flood the rest is counted by its size."""

@@ -1,4 +1,5 @@
-"""``python -m bridges.mavlink --fleet FILE --robot ID [--look]``: the bridge to one rover, as a process.
+"""``python -m handfast.bridges.mavlink --fleet FILE --robot ID [--look]``: the bridge to one rover, as a
+process.
 
 With ``--look`` it only looks: it arms nothing, whatever the fleet file says.
 """
@@ -12,17 +13,17 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from agent.common.time import Clock
-from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
-from agent.fleet.model import Fleet
-from agent.runtime.loop import Log
-from agent.runtime.process import StartError
-from bridges.mavlink.session.signing import SigningError, open_signing
-from bridges.mavlink.transport.transport import open_transport
-from plant.backend import PlantBackend
-from plant.server import main as serve
+from handfast.agent.common.time import Clock
+from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.runtime.loop import Log
+from handfast.agent.runtime.process import StartError
+from handfast.bridges.mavlink.session.signing import SigningError, open_signing
+from handfast.bridges.mavlink.transport.transport import open_transport
+from handfast.plant.backend import PlantBackend
+from handfast.plant.server import main as serve
 
-PROGRAM: Final = "python -m bridges.mavlink"
+PROGRAM: Final = "python -m handfast.bridges.mavlink"
 
 
 def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False) -> PlantBackend:
@@ -32,8 +33,8 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
         look: it arms nothing.
 
     Raises:
-        agent.runtime.process.StartError: the fleet file does not say how to reach it, or its key cannot be
-        used.
+        handfast.agent.runtime.process.StartError: the fleet file does not say how to reach it, or its key
+        cannot be used.
     """
     section = fleet.robot(robot).section(MavlinkSection)
     if section is None or section.connection is None or fleet.datum is None:
@@ -45,7 +46,7 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
         )
     try:
         # Here: it may be that the packages of a vehicle's machine are not there, which needs one clear line.
-        from bridges.mavlink.bridge.backend import MavlinkPlant, session
+        from handfast.bridges.mavlink.bridge.backend import MavlinkPlant, session
     except ModuleNotFoundError as error:
         raise StartError(f"it needs the package {error.name}: pip install 'handfast[rover]'") from None
     try:

@@ -11,14 +11,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation.geometry import Geometry
-from agent.formation.points import Floats
-from deploy.analysis.desired import MissionChange, desired
-from deploy.analysis.gaps import PoseGap, kept_through, pose_gaps, unknown
-from deploy.analysis.presence import Flags, Uncommanded, away, downs, uncommanded
-from deploy.analysis.removals import carried_off
-from deploy.analysis.stability import SETTLED
-from deploy.recording.recording import Recording
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.desired import MissionChange, desired
+from handfast.deploy.analysis.gaps import PoseGap, kept_through, pose_gaps, unknown
+from handfast.deploy.analysis.presence import Flags, Uncommanded, away, downs, uncommanded
+from handfast.deploy.analysis.removals import carried_off
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.recording.recording import Recording
 
 FINE_S: Final = 0.021
 """Robots that pass each other at 3 m/s come at most 2 mm nearer than at one of two times so near."""

@@ -13,12 +13,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.control import law
-from agent.control.safety_distances import speed_max, speeding_rate
-from agent.fleet.model import Fleet
-from deploy.analysis import fleet_law
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.couplings import FleetCoupling, coupling_of
+from handfast.agent.control import law
+from handfast.agent.control.safety_distances import speed_max, speeding_rate
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.analysis import fleet_law
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.couplings import FleetCoupling, coupling_of
 
 STILL_S: Final = 2.0
 STILL_M: Final = 0.1

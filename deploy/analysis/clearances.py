@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.control.boundaries import Circle, Polygon
-from agent.formation.points import Floats
+from handfast.agent.control.boundaries import Circle, Polygon
+from handfast.agent.formation.points import Floats
 
 
 def distances(boundary: Circle | Polygon, points: Floats) -> Floats:

@@ -23,13 +23,13 @@ from typing import ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.errors import Error
-from agent.control.gains import gains_of
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from deploy.analysis import fleet_law, patience
-from deploy.analysis.fleet_law import Array, Edges
-from deploy.analysis.rigidity import rigidity_matrix
+from handfast.agent.common.errors import Error
+from handfast.agent.control.gains import gains_of
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry
+from handfast.deploy.analysis import fleet_law, patience
+from handfast.deploy.analysis.fleet_law import Array, Edges
+from handfast.deploy.analysis.rigidity import rigidity_matrix
 
 SQUARES_MAX: Final = 12
 """So often a matrix is squared at most to see whether its powers die away: to its 4096th power."""
@@ -310,9 +310,9 @@ def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
     """A fleet's law of others, None when it does not give its modes.
 
     Raises:
-        agent.control.own_law.LawError: it fails at that, or never returns; the text is one line.
+        handfast.agent.control.own_law.LawError: it fails at that, or never returns; the text is one line.
     """
-    from agent.control import own_law  # here: other fleets need none of it
+    from handfast.agent.control import own_law  # here: other fleets need none of it
 
     kind = own_law.kind_of(fleet)
 

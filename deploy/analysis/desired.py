@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation.geometry import Geometry
-from agent.formation.mission_plan import PlanError, plan_of
-from agent.formation.points import Floats
-from agent.formation.reference import Reference
-from agent.formation.trajectory import make_trajectory
-from agent.messages.types import Mission
-from deploy.recording.recording import Recording
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.mission_plan import PlanError, plan_of
+from handfast.agent.formation.points import Floats
+from handfast.agent.formation.reference import Reference
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.agent.messages.types import Mission
+from handfast.deploy.recording.recording import Recording
 
 
 class MissionChange(NamedTuple):

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.quantities import DISTANCE_MIN
-from agent.control.law import RELAXATION_MIN, Gains
+from handfast.agent.common.quantities import DISTANCE_MIN
+from handfast.agent.control.law import RELAXATION_MIN, Gains
 
 Array = NDArray[np.float64]
 Scalar = float | Array

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.formation.points import Floats
-from deploy.analysis.presence import Flags, downs, untold
-from deploy.recording.recording import Recording, once
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.presence import Flags, downs, untold
+from handfast.deploy.recording.recording import Recording, once
 
 GAP_S: Final = 0.5
 """Poses that are missing for longer than this are a gap: until then a robot is taken to go straight on."""

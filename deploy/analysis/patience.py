@@ -71,7 +71,7 @@ def _tell(writer: Connection, call: Callable[[], T], seconds: float) -> None:
     """Sends what `call` returns or raises, and ends this process."""
     from multiprocessing.reduction import ForkingPickler
 
-    from agent.common.plugins import blame
+    from handfast.agent.common.plugins import blame
 
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds + 1.0)  # ends it also if nobody is left to kill it

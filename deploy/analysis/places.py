@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from agent.formation.points import Floats
-from deploy.analysis.analysis import Analysis, norm
-from deploy.analysis.gaps import kept_through
-from deploy.analysis.presence import Flags
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.analysis import Analysis, norm
+from handfast.deploy.analysis.gaps import kept_through
+from handfast.deploy.analysis.presence import Flags
 
 LAST_S: Final = 2.0
 """Who was at its place once in the last so many seconds is not off it."""

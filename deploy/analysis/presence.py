@@ -9,10 +9,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation.points import Floats
-from agent.supervision.state_machine import State
-from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusTable
+from handfast.agent.formation.points import Floats
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import StatusTable
 
 Flags = NDArray[np.bool_]
 

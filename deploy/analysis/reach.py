@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.formation.points import Floats
+from handfast.agent.formation.points import Floats
 
 
 class Seen(NamedTuple):

@@ -6,9 +6,9 @@ from math import inf
 
 import numpy as np
 
-from agent.formation.points import Floats
-from deploy.analysis.presence import Flags
-from deploy.recording.recording import Recording
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.presence import Flags
+from handfast.deploy.recording.recording import Recording
 
 
 def carried_off(recording: Recording, grid: Floats) -> Flags:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.formation.points import Floats, as_edges, as_places
+from handfast.agent.formation.points import Floats, as_edges, as_places
 
 _RANK_TOLERANCE: Final = 1e-7  # of the largest singular value of the rigidity matrix with unit rows
 

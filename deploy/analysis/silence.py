@@ -9,13 +9,13 @@ from __future__ import annotations
 from math import inf
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.control.constraint_assembly import STOP_S
-from agent.control.peers.beliefs import STANDS_S, said_doubt, stands_after
-from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
-from agent.control.safety_distances import barrier_rate, speed_max
-from agent.fleet.model import Fleet
-from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.constraint_assembly import STOP_S
+from handfast.agent.control.peers.beliefs import STANDS_S, said_doubt, stands_after
+from handfast.agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
+from handfast.agent.control.safety_distances import barrier_rate, speed_max
+from handfast.agent.fleet.model import Fleet
+from handfast.plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 
 UNSURE_S: Final = UNSURE_NS / NS_PER_S
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from math import hypot, inf
 from typing import Any, Final, NamedTuple
 
-from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
-from deploy.console.wording import FEW, robots
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
+from handfast.deploy.console.wording import FEW, robots
 
 SILENT_NS: Final = 2 * NS_PER_S
 """Who has sent no beacon for so long after the next one was due is not heard."""

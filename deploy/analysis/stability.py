@@ -12,15 +12,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.common.quantities import Vector
-from agent.control.law import acting_error, firmness
-from agent.control.safety_distances import speed_max, speeding_rate
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, start_hands
-from agent.formation.points import Floats, edge_lengths
-from agent.formation.trajectory import make_trajectory
-from deploy.analysis import fleet_law
-from deploy.analysis.couplings import FleetCoupling, FleetLaw, Mode, coupling_of
+from handfast.agent.common.quantities import Vector
+from handfast.agent.control.law import acting_error, firmness
+from handfast.agent.control.safety_distances import speed_max, speeding_rate
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry, start_hands
+from handfast.agent.formation.points import Floats, edge_lengths
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.deploy.analysis import fleet_law
+from handfast.deploy.analysis.couplings import FleetCoupling, FleetLaw, Mode, coupling_of
 
 TINY_M: Final = 1e-9
 SETTLED: Final = 0.05

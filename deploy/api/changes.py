@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from agent.common import plugins
-from agent.common.errors import Error
-from agent.common.reader import Problem
-from agent.fleet import model, plants
-from agent.fleet.model import FleetError
+from handfast.agent.common import plugins
+from handfast.agent.common.errors import Error
+from handfast.agent.common.reader import Problem
+from handfast.agent.fleet import model, plants
+from handfast.agent.fleet.model import FleetError
 
 _OPTION: Final = re.compile(r"--(?:set|over) (?=[\w\"])|--(?=law\b)| with --out\b")
 
@@ -29,7 +29,7 @@ class Classes:
         """What the fleet file says for a class: where it can be imported, else a name for this process.
 
         Raises:
-            agent.common.plugins.PluginError: its name is none.
+            handfast.agent.common.plugins.PluginError: its name is none.
         """
         module = sys.modules.get(plugin.__module__)
         if plugin.__module__ != "__main__" and getattr(module, plugin.__qualname__, None) is plugin:

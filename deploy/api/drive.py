@@ -14,14 +14,14 @@ from typing import IO, Final, Unpack
 
 import msgpack
 
-from agent.common.errors import Error, packages_named
-from deploy.api.changes import in_words_of_python, own_classes
-from deploy.api.fleet import Changes, Source, load, names_known, refuse_errors, refuse_overload
-from deploy.api.given import a_path, flags
-from deploy.api.recording import Recording
-from deploy.inventory.folders import out_folder, refuse_full
-from deploy.recording.collector import RunData
-from deploy.verdict.run_result import RunResult
+from handfast.agent.common.errors import Error, packages_named
+from handfast.deploy.api.changes import in_words_of_python, own_classes
+from handfast.deploy.api.fleet import Changes, Source, load, names_known, refuse_errors, refuse_overload
+from handfast.deploy.api.given import a_path, flags
+from handfast.deploy.api.recording import Recording
+from handfast.deploy.inventory.folders import out_folder, refuse_full
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.verdict.run_result import RunResult
 
 Progress = bool | Callable[[float], object] | None
 """How far it has come: a function that is told the share that is done, 0 to 1; or True: a line on stderr."""
@@ -67,7 +67,7 @@ def simulate(
     Raises:
         Error: the fleet cannot be loaded or driven, or the folder cannot be written.
     """
-    from deploy.simulate.simulation import Simulation
+    from handfast.deploy.simulate.simulation import Simulation
 
     flags(report=report, check=check)
     tell = _told(progress)
@@ -95,7 +95,7 @@ def simulate(
     reasons = tuple(simulation.reasons)
 
     def write(folder: Path, with_report: bool) -> None:
-        from deploy.report.run_folder import RunFolder
+        from handfast.deploy.report.run_folder import RunFolder
 
         with in_words_of_python():
             written = RunFolder(folder, settings, "simulate")
@@ -135,11 +135,11 @@ def run(
     Raises:
         Error: the fleet cannot be loaded or driven, or the folder cannot be written.
     """
-    from deploy.console.interrupt import Interrupt
-    from deploy.drive.display.live_view import make_view
-    from deploy.drive.local import LocalRun
-    from deploy.processes.placement import place
-    from deploy.report.run_folder import RunFolder
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.drive.display.live_view import make_view
+    from handfast.deploy.drive.local import LocalRun
+    from handfast.deploy.processes.placement import place
+    from handfast.deploy.report.run_folder import RunFolder
 
     flags(report=report, check=check, progress=progress)
     target = None if out is None else a_path(out, "out")

@@ -9,17 +9,24 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypedDict, TypeVar, Unpack
 
-from agent.common.errors import Error, packages_named
-from agent.common.wording import did_you_mean
-from agent.fleet import model
-from agent.fleet.loading import add_orders, add_scenario, fleet_tables, parse_fleet, read_text, to_dict
-from deploy.api.changes import Classes, in_words_of_python, override, own_classes
-from deploy.api.given import Known, a_path
-from deploy.console.arguments import fleet_path, scenario_path
-from deploy.console.data_files import SCENARIOS, bundled
+from handfast.agent.common.errors import Error, packages_named
+from handfast.agent.common.wording import did_you_mean
+from handfast.agent.fleet import model
+from handfast.agent.fleet.loading import (
+    add_orders,
+    add_scenario,
+    fleet_tables,
+    parse_fleet,
+    read_text,
+    to_dict,
+)
+from handfast.deploy.api.changes import Classes, in_words_of_python, override, own_classes
+from handfast.deploy.api.given import Known, a_path
+from handfast.deploy.console.arguments import fleet_path, scenario_path
+from handfast.deploy.console.data_files import SCENARIOS, bundled
 
 if TYPE_CHECKING:
-    from deploy.check.finding import Finding
+    from handfast.deploy.check.finding import Finding
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -98,7 +105,7 @@ class Fleet:
         Raises:
             FleetError: the formation contradicts itself.
         """
-        from agent.formation.geometry import resolved
+        from handfast.agent.formation.geometry import resolved
 
         return resolved(self.settings)
 
@@ -240,7 +247,7 @@ class Fleet:
 
     def __str__(self) -> str:
         """What it will do, as ``handfast check`` tells it."""
-        from deploy.check.description import describe
+        from handfast.deploy.check.description import describe
 
         return describe(self.settings)
 
@@ -349,7 +356,7 @@ class Findings(tuple["Finding", ...]):
 @packages_named("handfast.check")
 def check(fleet: Source, changes: Mapping[str, object] | None = None, **named: Unpack[Changes]) -> Findings:
     """Finds what would go wrong with a fleet, without driving it; arguments and errors as `load`'s."""
-    from deploy.check.check import check
+    from handfast.deploy.check.check import check
 
     return Findings(check(load(fleet, changes, **named).settings))
 
@@ -372,7 +379,7 @@ def refuse_overload(fleet: Fleet) -> None:
     Raises:
         Error: what it carries, and what would fit.
     """
-    from deploy.processes.machine import overload_here
+    from handfast.deploy.processes.machine import overload_here
 
     text = overload_here(fleet.settings)
     if text:

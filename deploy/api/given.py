@@ -9,7 +9,7 @@ from operator import index
 from pathlib import Path
 from typing import Final, TypeVar
 
-from agent.common.errors import Error
+from handfast.agent.common.errors import Error
 
 K = TypeVar("K")
 V = TypeVar("V")

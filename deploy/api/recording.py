@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from agent.common.errors import Error, packages_named
-from agent.formation.points import Floats
-from deploy.api.changes import in_words_of_python
-from deploy.api.given import Known, a_path, flags
-from deploy.inventory.folders import refuse_full
-from deploy.recording.tables import Table
+from handfast.agent.common.errors import Error, packages_named
+from handfast.agent.formation.points import Floats
+from handfast.deploy.api.changes import in_words_of_python
+from handfast.deploy.api.given import Known, a_path, flags
+from handfast.deploy.inventory.folders import refuse_full
+from handfast.deploy.recording.tables import Table
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from deploy.api.fleet import Fleet
-    from deploy.recording.recording import Recording as Data
-    from deploy.recording.recording import RobotData
-    from deploy.report.export import Columns
-    from deploy.verdict.run_result import RunResult
+    from handfast.deploy.api.fleet import Fleet
+    from handfast.deploy.recording.recording import Recording as Data
+    from handfast.deploy.recording.recording import RobotData
+    from handfast.deploy.report.export import Columns
+    from handfast.deploy.verdict.run_result import RunResult
 
 _SHOWN: Final = (
     "settling_time_s", "min_distance_m.edge", "min_distance_m.any", "final_distance_error_m",
@@ -163,14 +163,14 @@ class Recording:
     @cached_property
     def fleet(self) -> Fleet:
         """The fleet as it was driven."""
-        from deploy.api.fleet import Fleet
+        from handfast.deploy.api.fleet import Fleet
 
         if self._data.fleet_toml is not None:
             return Fleet(self._data.fleet_toml, str(self.folder or "the recording"), recorded=True)
         with packages_named("Recording.fleet"):
             import tomli_w
 
-        from agent.fleet.loading import to_dict
+        from handfast.agent.fleet.loading import to_dict
 
         return Fleet(tomli_w.dumps(to_dict(self._data.fleet)), "the recording", recorded=True)
 
@@ -255,7 +255,7 @@ class Recording:
     def tables(self) -> Mapping[str, Columns]:
         """All tables of ``handfast export``, their columns by name: ``hands``, ``plants``, ``wrenches``,
         ``multipliers``, ``statuses``, ``distances``; ``links`` and ``truths`` where there are."""
-        from deploy.report.export import tabulate
+        from handfast.deploy.report.export import tabulate
 
         found = tabulate(self._result)
         return Known("table", {name: Known("column", columns) for name, columns in found.items()})
@@ -297,7 +297,7 @@ class Recording:
         Raises:
             Error: there is no such picture, or matplotlib is not installed.
         """
-        from deploy.report.figures import PICTURES, figure
+        from handfast.deploy.report.figures import PICTURES, figure
 
         Known("picture", PICTURES)[name]
         return figure(self._result, name)
@@ -364,8 +364,8 @@ def load_recording(folder: str | Path) -> Recording:
     Raises:
         Error: it is none, or cannot be read.
     """
-    from deploy.recording.mcap_reader import read_run
-    from deploy.verdict.run_result import RunResult
+    from handfast.deploy.recording.mcap_reader import read_run
+    from handfast.deploy.verdict.run_result import RunResult
 
     path = a_path(folder, "the folder that a run has left")
     return Recording(RunResult(read_run(path)), path)

@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING, Any, Final, Unpack, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.errors import Error, packages_named
-from agent.formation.points import Floats
-from deploy.api.changes import Classes, in_words_of_python, toml
-from deploy.api.fleet import Changes, Fleet, Source, load, names_known
-from deploy.api.given import Known, flags, whole
-from deploy.api.recording import data_frame
-from deploy.cluster.choose import SSH, make_engine
-from deploy.console.interrupt import Interrupt
-from deploy.console.progress import make_progress
-from deploy.simulate.worker_pool import Work, cores
-from deploy.sweep.plan import Plan, Question, make_plan
-from deploy.sweep.run import PASSED, Row, Runs
-from deploy.sweep.summary import Cell, margin_axis, margins, summarise
-from deploy.sweep.varied import Axis, Range, parse_axis, parse_over
-from deploy.verdict.metrics import columns
+from handfast.agent.common.errors import Error, packages_named
+from handfast.agent.formation.points import Floats
+from handfast.deploy.api.changes import Classes, in_words_of_python, toml
+from handfast.deploy.api.fleet import Changes, Fleet, Source, load, names_known
+from handfast.deploy.api.given import Known, flags, whole
+from handfast.deploy.api.recording import data_frame
+from handfast.deploy.cluster.choose import SSH, make_engine
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.progress import make_progress
+from handfast.deploy.simulate.worker_pool import Work, cores
+from handfast.deploy.sweep.plan import Plan, Question, make_plan
+from handfast.deploy.sweep.run import PASSED, Row, Runs
+from handfast.deploy.sweep.summary import Cell, margin_axis, margins, summarise
+from handfast.deploy.sweep.varied import Axis, Range, parse_axis, parse_over
+from handfast.deploy.verdict.metrics import columns
 
 if TYPE_CHECKING:
     import pandas
@@ -113,7 +113,7 @@ class Sweep:
             raise Error(f"there is no run {number}: they are 0 to {self._plan.runs - 1}")
         import tomli_w
 
-        from agent.fleet.loading import to_dict
+        from handfast.agent.fleet.loading import to_dict
 
         return load(tomli_w.dumps(to_dict(self._plan.fleet(number))))
 
@@ -133,8 +133,8 @@ class Sweep:
         Raises:
             Error: nothing is varied, there is no such quantity, or matplotlib is not installed.
         """
-        from deploy.report.drawing.plotting import styled
-        from deploy.sweep.figures import drawings
+        from handfast.deploy.report.drawing.plotting import styled
+        from handfast.deploy.sweep.figures import drawings
 
         if not self.fields and not self._plan.ranges:
             raise Error("nothing is varied: there is nothing to plot")
@@ -279,7 +279,7 @@ def _drawn(field: str, text: str) -> Axis | Range | None:
 
 
 def _refuse_errors(plan: Plan) -> None:
-    from deploy.check.check import check
+    from handfast.deploy.check.check import check
 
     for cell in range(len(plan.cells)):
         try:

@@ -8,15 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from agent.control.safety_distances import TURN_MAX, barrier_rate, speed_max
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from agent.formation import trajectory
-from agent.formation.geometry import Geometry, start_hands
-from agent.formation.points import Floats
-from agent.formation.trajectory import make_trajectory
-from deploy.check.finding import Finding
-from deploy.console.wording import counted, robots, some, speed_limit
+from handfast.agent.control.safety_distances import TURN_MAX, barrier_rate, speed_max
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.formation import trajectory
+from handfast.agent.formation.geometry import Geometry, start_hands
+from handfast.agent.formation.points import Floats
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.console.wording import counted, robots, some, speed_limit
 
 TURN_PER_TICK_WARN: Final = 0.5
 FAST_SHARE: Final = 0.9

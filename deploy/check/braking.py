@@ -7,10 +7,10 @@ from itertools import combinations
 from math import dist, floor, inf, log10, sqrt
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.peers.beliefs import said_doubt
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.safety_distances import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.peers.beliefs import said_doubt
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.safety_distances import (
     AHEAD_M,
     RATE_SHARE,
     acceleration_max,
@@ -18,15 +18,15 @@ from agent.control.safety_distances import (
     braking_room,
     speed_max,
 )
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from agent.formation import trajectory
-from agent.formation.geometry import Geometry
-from deploy.analysis.couplings import Mode
-from deploy.analysis.stability import sampled_radius
-from deploy.check.finding import Finding
-from deploy.console.wording import robots, speed_limit
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.formation import trajectory
+from handfast.agent.formation.geometry import Geometry
+from handfast.deploy.analysis.couplings import Mode
+from handfast.deploy.analysis.stability import sampled_radius
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.console.wording import robots, speed_limit
 
 _ROUNDING: Final = 1e-9
 MARGIN_M: Final = 0.05

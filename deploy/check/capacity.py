@@ -11,13 +11,13 @@ from dataclasses import replace
 from math import floor, inf
 from typing import Final, NamedTuple
 
-from agent.common.compiled import COMPILED
-from agent.control.safety_distances import barrier_rate, speed_max
-from agent.fleet.model import Fleet
-from deploy.check.check import check
-from deploy.check.finding import Finding
-from deploy.check.load.network import load_of
-from deploy.check.load.sharing import sharing
+from handfast.agent.common.compiled import COMPILED
+from handfast.agent.control.safety_distances import barrier_rate, speed_max
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.check.check import check
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.check.load.network import load_of
+from handfast.deploy.check.load.sharing import sharing
 
 ROBOTS_MIN: Final = 13
 """Smaller fleets are not looked at: they fit; unless they ask for real time (`is_looked_at`)."""

@@ -11,20 +11,20 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
-from agent.fleet.model import Fleet, FormationError
-from agent.formation.geometry import Geometry, resolve
-from deploy.check.bodies import check_motion, check_noise
-from deploy.check.faults import check_faults
-from deploy.check.finding import Finding
-from deploy.check.load.network import check_network
-from deploy.check.loop import check_gains, check_loop, check_lowest_rate, check_saturation
-from deploy.check.orders import check_orders
-from deploy.check.realtime import check_realtime
-from deploy.check.safety import check_safety
-from deploy.check.sending import check_sending
-from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
-from deploy.check.stiffness import check_stiffness
-from deploy.check.vehicles import check_vehicles
+from handfast.agent.fleet.model import Fleet, FormationError
+from handfast.agent.formation.geometry import Geometry, resolve
+from handfast.deploy.check.bodies import check_motion, check_noise
+from handfast.deploy.check.faults import check_faults
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.check.load.network import check_network
+from handfast.deploy.check.loop import check_gains, check_loop, check_lowest_rate, check_saturation
+from handfast.deploy.check.orders import check_orders
+from handfast.deploy.check.realtime import check_realtime
+from handfast.deploy.check.safety import check_safety
+from handfast.deploy.check.sending import check_sending
+from handfast.deploy.check.shape import check_shape, check_starts, check_structure, unplaced
+from handfast.deploy.check.stiffness import check_stiffness
+from handfast.deploy.check.vehicles import check_vehicles
 
 __all__ = ["Finding", "check"]
 
@@ -48,7 +48,7 @@ def check(fleet: Fleet) -> list[Finding]:
             findings += check_loop(fleet, geometry)
             findings += check_stiffness(fleet, geometry)
         if fleet.control.law is not None:
-            from deploy.check.own_law import check_own_law  # here: other fleets need none of it
+            from handfast.deploy.check.own_law import check_own_law  # here: other fleets need none of it
 
             findings += check_own_law(fleet, geometry)
         findings += check_orders(fleet, geometry)
@@ -60,7 +60,7 @@ def check(fleet: Fleet) -> list[Finding]:
     findings += check_safety(fleet, geometry)
     findings += check_vehicles(fleet, geometry)
     if any(robot.kind.is_plugin for robot in fleet.robots):
-        from deploy.check.own_plant import check_own_plants
+        from handfast.deploy.check.own_plant import check_own_plants
 
         findings += check_own_plants(fleet)
     findings += check_faults(fleet)

@@ -8,26 +8,26 @@ from typing import Final
 
 import numpy as np
 
-from agent.common.models import plain
-from agent.common.wording import show
-from agent.control.boundaries import obstacles_of
-from agent.control.pace import speed_share, steps, why_not
-from agent.control.safety_distances import clearance, sensing_distance
-from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
-from agent.fleet.model import Fleet
-from agent.formation import trajectory
-from agent.formation.geometry import Geometry, resolve, start_hands
-from agent.formation.trajectory import make_trajectory
-from agent.links.fault_plan import FaultPlan
-from deploy.analysis.couplings import coupling_of, law_of
-from deploy.analysis.rigidity import is_rigid
-from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
-from deploy.check.capacity import describe_cost
-from deploy.check.load.network import describe_links, describe_topology
-from deploy.check.load.radio import describe_radio
-from deploy.check.safety import parting
-from deploy.console.wording import robots, some
-from deploy.faults.wording import defaults, described, words
+from handfast.agent.common.models import plain
+from handfast.agent.common.wording import show
+from handfast.agent.control.boundaries import obstacles_of
+from handfast.agent.control.pace import speed_share, steps, why_not
+from handfast.agent.control.safety_distances import clearance, sensing_distance
+from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation import trajectory
+from handfast.agent.formation.geometry import Geometry, resolve, start_hands
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.deploy.analysis.couplings import coupling_of, law_of
+from handfast.deploy.analysis.rigidity import is_rigid
+from handfast.deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
+from handfast.deploy.check.capacity import describe_cost
+from handfast.deploy.check.load.network import describe_links, describe_topology
+from handfast.deploy.check.load.radio import describe_radio
+from handfast.deploy.check.safety import parting
+from handfast.deploy.console.wording import robots, some
+from handfast.deploy.faults.wording import defaults, described, words
 
 FAULTS_SHOWN: Final = 12
 

@@ -10,21 +10,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.time import NS_PER_S
-from agent.control.peers.lateness import LATE_MAX_NS
-from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
-from agent.fleet.model import Fleet
-from agent.formation.geometry import start_hands
-from agent.impairments.impairments import Delay, Loss
-from agent.links.fault_plan import FaultPlan
-from agent.links.timed_rules import LinkEffects
-from agent.messages.types import FUTURE_NS_MAX
-from deploy.check.finding import Finding, Level
-from deploy.check.load.radio import hand_bytes
-from deploy.console.wording import NAMES_SHOWN, robots
-from deploy.faults.windows import windows
-from deploy.faults.wording import acts_on_links, words
-from deploy.recording.links import Link, links_of
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.peers.lateness import LATE_MAX_NS
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import start_hands
+from handfast.agent.impairments.impairments import Delay, Loss
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.timed_rules import LinkEffects
+from handfast.agent.messages.types import FUTURE_NS_MAX
+from handfast.deploy.check.finding import Finding, Level
+from handfast.deploy.check.load.radio import hand_bytes
+from handfast.deploy.console.wording import NAMES_SHOWN, robots
+from handfast.deploy.faults.windows import windows
+from handfast.deploy.faults.wording import acts_on_links, words
+from handfast.deploy.recording.links import Link, links_of
 
 CONTRADICTIONS_MAX: Final = 12
 """So many are said one by one."""

@@ -1,7 +1,7 @@
 """Writes ``docs/fleet-file.md`` from the models of the fleet file, so that it says what they say.
 
-``python -m deploy.check.fleet_reference`` prints the page; with ``--check`` it compares the page in docs
-with it (exit status 1 when they differ).
+``python -m handfast.deploy.check.fleet_reference`` prints the page; with ``--check`` it compares the page in
+docs with it (exit status 1 when they differ).
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, Literal, get_args, get_origin
 
-from agent.common.quantities import UNITS
-from agent.common.settings import Entry, entries
-from agent.common.wording import example, show
-from agent.fleet.model import Fleet
-from agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
-from deploy.console.data_files import ROOT, TEMPLATE
+from handfast.agent.common.quantities import UNITS
+from handfast.agent.common.settings import Entry, entries
+from handfast.agent.common.wording import example, show
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
+from handfast.deploy.console.data_files import ROOT, TEMPLATE
 
 PAGE: Final = ROOT / "docs" / "fleet-file.md"
 WIDTH: Final = 110  # of the page's lines, but for the example, which is a file
@@ -26,7 +26,7 @@ _HEAD: Final = """\
 # The fleet file
 
 <!-- Made of the tables in agent/fleet/: change them there, then
-     python -m deploy.check.fleet_reference > docs/fleet-file.md -->
+     python -m handfast.deploy.check.fleet_reference > docs/fleet-file.md -->
 
 One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the
 same file. `handfast new NAME` writes one to start from, `handfast check FLEET` says what is wrong with one
@@ -204,12 +204,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(render())
         return 0
     if list(arguments) != ["--check"]:
-        print("usage: python -m deploy.check.fleet_reference [--check]", file=sys.stderr)
+        print("usage: python -m handfast.deploy.check.fleet_reference [--check]", file=sys.stderr)
         return 2
     if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == render():
         return 0
     print(
-        f"{PAGE} is out of date: python -m deploy.check.fleet_reference > docs/fleet-file.md", file=sys.stderr
+        f"{PAGE} is out of date: python -m handfast.deploy.check.fleet_reference > docs/fleet-file.md",
+        file=sys.stderr,
     )
     return 1
 

@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from agent.control.pace import steps, why_not
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from deploy.analysis.couplings import coupling_of, law_of
-from deploy.analysis.stability import SETTLED, at_start, sampled_radius, settling_time
-from deploy.check.finding import Finding
-from deploy.console.wording import robots
+from handfast.agent.control.pace import steps, why_not
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry
+from handfast.deploy.analysis.couplings import coupling_of, law_of
+from handfast.deploy.analysis.stability import SETTLED, at_start, sampled_radius, settling_time
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.console.wording import robots
 
 _ROUNDING: Final = 1e-9
 SWEEP_ROBOTS_MAX: Final = 60

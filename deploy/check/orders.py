@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.safety_distances import speed_max
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection
-from agent.formation.geometry import Geometry
-from agent.formation.graph import components
-from agent.formation.mission_plan import Plan
-from deploy.check.finding import Finding
-from deploy.console.wording import some
-from deploy.orders.blend_time import blend_ns_for, peaks_of
-from deploy.orders.mission_editing import OrderError
-from deploy.orders.operator import Operator
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.graph import components
+from handfast.agent.formation.mission_plan import Plan
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.console.wording import some
+from handfast.deploy.orders.blend_time import blend_ns_for, peaks_of
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.orders.operator import Operator
 
 OVER_MAX: Final = 1.25
 """Places that move by so much faster than robots do are worth a word: for a moment they catch up."""

@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from statistics import median
 from typing import Final
 
-from agent.control import own_law
-from agent.control.law import navigation_force
-from agent.control.law_plugin import Moment, Neighbour, Reference
-from agent.control.own_law import LawError
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, start_hands
-from agent.formation.trajectory import make_trajectory
-from deploy.analysis import patience
-from deploy.analysis.couplings import own_law_of
-from deploy.check.finding import Finding
+from handfast.agent.control import own_law
+from handfast.agent.control.law import navigation_force
+from handfast.agent.control.law_plugin import Moment, Neighbour, Reference
+from handfast.agent.control.own_law import LawError
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry, start_hands
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.deploy.analysis import patience
+from handfast.deploy.analysis.couplings import own_law_of
+from handfast.deploy.check.finding import Finding
 
 ROUNDS: Final = 3
 """So many times every robot's law is asked: the first time it warms up, and has no numbers of the others."""

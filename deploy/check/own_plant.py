@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 from statistics import median
 from typing import Final
 
-from agent.common.plugins import PluginError
-from agent.common.time import NS_PER_S
-from agent.fleet import plants
-from agent.fleet.model import Fleet
-from deploy.analysis import patience
-from deploy.check.finding import Finding, Level
-from plant.backend import Begin, Command
-from plant.plugin import begin_virtual
+from handfast.agent.common.plugins import PluginError
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.analysis import patience
+from handfast.deploy.check.finding import Finding, Level
+from handfast.plant.backend import Begin, Command
+from handfast.plant.plugin import begin_virtual
 
 STEPS: Final = 5
 TIMED_S: Final = 5.0

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.control.boundaries import Circle, Polygon
-from agent.fleet.model import Fleet
-from agent.formation import trajectory
-from agent.formation.geometry import Geometry
-from agent.formation.points import Floats
-from agent.formation.trajectory import make_trajectory
-from deploy.analysis.clearances import distances
+from handfast.agent.control.boundaries import Circle, Polygon
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation import trajectory
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.points import Floats
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.deploy.analysis.clearances import distances
 
 _CELLS: Final = 256
 """Pieces that a drive is cut into at first."""

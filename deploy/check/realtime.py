@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.fleet.process_section import ProcessSection
-from deploy.check.finding import Finding
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.deploy.check.finding import Finding
 
 OF_KERNEL: Final = 50
 """Priority of the kernel's own threads that serve interrupts, where they are threads (PREEMPT_RT)."""
@@ -38,7 +38,7 @@ def check_cores(fleet: Fleet, there: Collection[int]) -> Iterator[Finding]:
     """
     wanted = set(fleet.process.cpus)
     if fleet.process.realtime and (missing := sorted(wanted - set(there))):
-        from agent.runtime.realtime_granted import cores  # here: other fleets need none of it
+        from handfast.agent.runtime.realtime_granted import cores  # here: other fleets need none of it
 
         left = sorted(wanted & set(there))
         kept = f"would have {cores(left)} alone" if left else "would be kept to none"

@@ -10,17 +10,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
-from agent.control.hand import Pose, hand
-from agent.control.safety_distances import avoidance_distance, clearance, least_apart
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from agent.formation.points import Floats
-from deploy.analysis.clearances import distances
-from deploy.check.braking import check_braking, check_room, check_sudden
-from deploy.check.finding import Finding, Level
-from deploy.check.paths import Paths
-from deploy.console.wording import NAMES_SHOWN, robots
+from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
+from handfast.agent.control.hand import Pose, hand
+from handfast.agent.control.safety_distances import avoidance_distance, clearance, least_apart
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.check.braking import check_braking, check_room, check_sudden
+from handfast.deploy.check.finding import Finding, Level
+from handfast.deploy.check.paths import Paths
+from handfast.deploy.console.wording import NAMES_SHOWN, robots
 
 _GAPS_OBSTACLES_MAX: Final = 100
 """With more obstacles than this, gaps between them are not looked for: pairs grow with the square."""

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from math import hypot, pi, sqrt
 from typing import Final
 
-from agent.control.event_trigger import LOOKAHEAD_S
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from deploy.check.finding import Finding
-from deploy.console.wording import robots
+from handfast.agent.control.event_trigger import LOOKAHEAD_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.console.wording import robots
 
 QUIET: Final = 2.5
 """A bound so many times as large as what noise makes of predictions on average is seldom exceeded by it."""

@@ -7,16 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from agent.fleet.model import Fleet, FormationError
-from agent.formation.geometry import Geometry, edge_indices, given_distances, given_offsets
-from agent.formation.graph import components, connected
-from agent.formation.points import Floats, edge_lengths
-from agent.formation.realisation import DISTANCE_TOLERANCE
-from agent.formation.trajectory import make_trajectory
-from deploy.analysis.rigidity import is_collinear, is_rigid, loose, rigidity_rank
-from deploy.check.finding import Finding
-from deploy.check.safety import start_points
-from deploy.console.wording import NAMES_SHOWN, robots, some
+from handfast.agent.fleet.model import Fleet, FormationError
+from handfast.agent.formation.geometry import Geometry, edge_indices, given_distances, given_offsets
+from handfast.agent.formation.graph import components, connected
+from handfast.agent.formation.points import Floats, edge_lengths
+from handfast.agent.formation.realisation import DISTANCE_TOLERANCE
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.deploy.analysis.rigidity import is_collinear, is_rigid, loose, rigidity_rank
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.check.safety import start_points
+from handfast.deploy.console.wording import NAMES_SHOWN, robots, some
 
 SAFE_SHARE: Final = 0.8
 """r_s / d above which phi' = 1 / (d - r_s) makes the constraint very stiff."""

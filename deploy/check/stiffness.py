@@ -15,15 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from agent.control.gains import FOLD, SOFTNESS
-from agent.control.law import APPROACH_SHARE
-from agent.control.safety_distances import speed_max
-from agent.fleet.model import Fleet
-from agent.formation import trajectory
-from agent.formation.geometry import Geometry
-from deploy.analysis.couplings import coupling_of
-from deploy.analysis.fleet_law import Array
-from deploy.check.finding import Finding
+from handfast.agent.control.gains import FOLD, SOFTNESS
+from handfast.agent.control.law import APPROACH_SHARE
+from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation import trajectory
+from handfast.agent.formation.geometry import Geometry
+from handfast.deploy.analysis.couplings import coupling_of
+from handfast.deploy.analysis.fleet_law import Array
+from handfast.deploy.check.finding import Finding
 
 _SHARES: Final = (0.5, 0.63, 0.82, 1.37, 2.05, 4.1, 8.2)
 _FOLDED: Final = (0.0, 0.001, 0.011, 0.10, 0.17, 0.49, 0.74)

@@ -9,16 +9,16 @@ from collections.abc import Callable, Iterator
 from math import inf, sqrt
 from typing import Final, NamedTuple
 
-from agent.control.peers.rolling import STOPS_S, room_to_know
-from agent.control.safety_distances import acceleration_max, speed_max
-from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from agent.formation import trajectory
-from agent.formation.geometry import Geometry
-from bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection
-from deploy.check.finding import Finding, Level
-from deploy.console.wording import robots
+from handfast.agent.control.peers.rolling import STOPS_S, room_to_know
+from handfast.agent.control.safety_distances import acceleration_max, speed_max
+from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.formation import trajectory
+from handfast.agent.formation.geometry import Geometry
+from handfast.bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection
+from handfast.deploy.check.finding import Finding, Level
+from handfast.deploy.console.wording import robots
 
 RATE_MAX_HZ: Final = 50.0
 """ArduPilot Rover's own loop: it takes nothing faster."""

@@ -8,15 +8,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, Protocol, TypeVar
 
-from agent.common.errors import Error, packages_named
-from agent.common.wording import printable
-from agent.common.wording import show as shown
-from agent.fleet.model import Fleet
-from deploy.cluster.reasons import error_line
-from deploy.console.arguments import fleet_path
-from deploy.hosts.artifacts.plugin_files import files_of_plugins
-from deploy.simulate import worker_pool
-from deploy.simulate.worker_pool import Engine, GoOn, Work
+from handfast.agent.common.errors import Error, packages_named
+from handfast.agent.common.wording import printable
+from handfast.agent.common.wording import show as shown
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.cluster.reasons import error_line
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.hosts.artifacts.plugin_files import files_of_plugins
+from handfast.deploy.simulate import worker_pool
+from handfast.deploy.simulate.worker_pool import Engine, GoOn, Work
 
 SSH: Final = "ssh:"
 _SCHEMES: Final = ("tcp://", "tls://")
@@ -60,13 +60,13 @@ def make_engine(
 
     Raises:
         Error: there is no such cluster.
-        agent.common.errors.MissingPackageError: what a cluster needs is not installed.
+        handfast.agent.common.errors.MissingPackageError: what a cluster needs is not installed.
     """
     if cluster is None:
         return worker_pool.Pool(work, jobs, timeout_s)
     check_cluster(cluster)
-    from deploy.cluster.engine import WORKERS_S, Cluster
-    from deploy.cluster.on_hosts import HostsCluster
+    from handfast.deploy.cluster.engine import WORKERS_S, Cluster
+    from handfast.deploy.cluster.on_hosts import HostsCluster
 
     files = _files(fleets, show)
 
@@ -101,13 +101,13 @@ def check_cluster(cluster: str | None) -> None:
             raise ClusterOptionError(f"--cluster {printable(cluster)}: {error}") from None
     with packages_named("--cluster"):
         try:
-            import deploy.cluster.engine  # noqa: F401 (whether it can be)
+            import handfast.deploy.cluster.engine  # noqa: F401 (whether it can be)
         except ImportError:
             raise
         except Exception as error:  # of its configuration, which Dask reads when it is imported
             why = error_line(error)
             raise ClusterOptionError(f"Dask cannot be loaded with its configuration: {why}") from None
-    from deploy.cluster.identity import refuse_lacking
+    from handfast.deploy.cluster.identity import refuse_lacking
 
     refuse_lacking()
 

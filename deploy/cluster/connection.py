@@ -18,9 +18,9 @@ import distributed
 from distributed.security import Security
 from distributed.versions import VersionMismatchWarning
 
-from agent.common.errors import Error
-from deploy.cluster.reasons import error_line, why_not
-from deploy.simulate.worker_pool import POLL_S, GoOn
+from handfast.agent.common.errors import Error
+from handfast.deploy.cluster.reasons import error_line, why_not
+from handfast.deploy.simulate.worker_pool import POLL_S, GoOn
 
 CONNECT_S: Final = 10.0
 """Within this there is a connection, or it is given up."""

@@ -10,9 +10,9 @@ from typing import Final
 import dask
 from distributed.security import Security
 
-from agent.common.wording import printable, show
-from deploy.cluster.connection import ClusterError
-from deploy.cluster.reasons import error_line
+from handfast.agent.common.wording import printable, show
+from handfast.deploy.cluster.connection import ClusterError
+from handfast.deploy.cluster.reasons import error_line
 
 _TLS: Final = "distributed.comm.tls."
 _CERTIFICATE: Final = ("-----BEGIN CERTIFICATE-----", "certificate")

@@ -22,13 +22,13 @@ from typing import Any, Final, Generic, TypeVar
 import distributed
 from distributed.security import Security
 
-from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected
-from deploy.cluster.dask_configuration import configured_security
-from deploy.cluster.on_worker import UnknownCampaign
-from deploy.cluster.reasons import error_line
-from deploy.cluster.sent import Unfinished, Unreadable, pack
-from deploy.cluster.watch import LOOK_S, MODULE, Watch, remote
-from deploy.simulate.worker_pool import POLL_S, EngineLost, GoOn, Work
+from handfast.deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected
+from handfast.deploy.cluster.dask_configuration import configured_security
+from handfast.deploy.cluster.on_worker import UnknownCampaign
+from handfast.deploy.cluster.reasons import error_line
+from handfast.deploy.cluster.sent import Unfinished, Unreadable, pack
+from handfast.deploy.cluster.watch import LOOK_S, MODULE, Watch, remote
+from handfast.deploy.simulate.worker_pool import POLL_S, EngineLost, GoOn, Work
 
 AHEAD: Final = 1
 """Runs that wait at each thread of a worker, beside the one that it is at: no more are submitted."""

@@ -11,10 +11,10 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Final
 
-from agent.common.errors import MissingPackageError
-from agent.runtime.version import handfast_version
-from deploy.console.data_files import ROOT
-from deploy.console.sources import sources_digest
+from handfast.agent.common.errors import MissingPackageError
+from handfast.agent.runtime.version import handfast_version
+from handfast.deploy.console.data_files import ROOT
+from handfast.deploy.console.sources import sources_digest
 
 LIBRARIES: Final = ("numpy", "msgpack", "pymap3d")
 """Others' packages that have a part in the numbers and bytes of a run."""

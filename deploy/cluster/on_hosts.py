@@ -20,24 +20,30 @@ from typing import Final, Generic, TypeVar
 import dask
 import distributed
 
-from agent.common.errors import Error
-from agent.common.wording import printable
-from agent.fleet.loading import load_fleet
-from deploy.cluster import worker_on_host
-from deploy.cluster.connection import ClusterError
-from deploy.cluster.engine import Cluster, Say
-from deploy.cluster.reasons import error_line
-from deploy.cluster.worker_process import security
-from deploy.console.arguments import fleet_path
-from deploy.console.data_files import WORKER_REQUIREMENTS
-from deploy.hosts.artifacts.bundle import PACKAGES, BundleError, Platform, bundle_for, program_archive
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.jobs import HostJobs
-from deploy.hosts.setup import install
-from deploy.hosts.view import DOING, Row
-from deploy.simulate.worker_pool import GoOn, Work
+from handfast.agent.common.errors import Error
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.cluster import worker_on_host
+from handfast.deploy.cluster.connection import ClusterError
+from handfast.deploy.cluster.engine import Cluster, Say
+from handfast.deploy.cluster.reasons import error_line
+from handfast.deploy.cluster.worker_process import security
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.console.data_files import WORKER_REQUIREMENTS
+from handfast.deploy.hosts.artifacts.bundle import (
+    PACKAGES,
+    BundleError,
+    Platform,
+    bundle_for,
+    program_archive,
+)
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.jobs import HostJobs
+from handfast.deploy.hosts.setup import install
+from handfast.deploy.hosts.view import DOING, Row
+from handfast.deploy.simulate.worker_pool import GoOn, Work
 
-SENT: Final = (*PACKAGES, "deploy")
+SENT: Final = (*PACKAGES, "handfast/deploy")
 """Packages of ours that a worker runs."""
 LOOK_S: Final = 2.0
 """How often a host is asked whether its worker runs."""

@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.cluster.identity import CHANGED, SOURCES, identity
-from deploy.cluster.sent import SentWork, write_files
-from deploy.simulate.worker_pool import Abandoned, GoOn, Pool
+from handfast.deploy.cluster.identity import CHANGED, SOURCES, identity
+from handfast.deploy.cluster.sent import SentWork, write_files
+from handfast.deploy.simulate.worker_pool import Abandoned, GoOn, Pool
 
 IDLE_S: Final = 60.0
 """A campaign that is given nothing for this long is forgotten, and its processes end: who asked is gone."""
@@ -59,8 +59,8 @@ def drive(campaign: str, number: int) -> object:
 
     Raises:
         UnknownCampaign: `begin` was not called here.
-        deploy.simulate.worker_pool.PoolError: no process can be started.
-        deploy.simulate.worker_pool.Abandoned: nobody wants it any more.
+        handfast.deploy.simulate.worker_pool.PoolError: no process can be started.
+        handfast.deploy.simulate.worker_pool.Abandoned: nobody wants it any more.
     """
     with _guard:
         known = _campaigns.get(campaign)

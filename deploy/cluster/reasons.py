@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
-from agent.common.wording import printable
+from handfast.agent.common.wording import printable
 
 REASON_MAX: Final = 300
 """Characters of what others say."""

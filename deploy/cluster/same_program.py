@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from agent.fleet.model import Fleet
-from deploy.console.data_files import ROOT
-from deploy.console.sources import sources_digest
-from deploy.hosts.artifacts.plugin_files import files_of_plugins
-from deploy.simulate.worker_pool import GoOn, Refused, Work
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.data_files import ROOT
+from handfast.deploy.console.sources import sources_digest
+from handfast.deploy.hosts.artifacts.plugin_files import files_of_plugins
+from handfast.deploy.simulate.worker_pool import GoOn, Refused, Work
 
 T = TypeVar("T")
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from deploy.console.wording import error_text
-from deploy.simulate.worker_pool import GoOn, Work
+from handfast.deploy.console.wording import error_text
+from handfast.deploy.simulate.worker_pool import GoOn, Work
 
 
 @dataclass(frozen=True, slots=True)

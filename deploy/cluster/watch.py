@@ -17,12 +17,12 @@ from typing import Any, Final
 
 from distributed.comm.core import CommClosedError
 
-from agent.common.wording import printable
-from deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, patiently
-from deploy.cluster.identity import INSTALL, differences, identity
-from deploy.cluster.on_worker import PROCESS
-from deploy.cluster.reasons import error_line
-from deploy.simulate.worker_pool import GoOn
+from handfast.agent.common.wording import printable
+from handfast.deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, patiently
+from handfast.deploy.cluster.identity import INSTALL, differences, identity
+from handfast.deploy.cluster.on_worker import PROCESS
+from handfast.deploy.cluster.reasons import error_line
+from handfast.deploy.simulate.worker_pool import GoOn
 
 LOOK_S: Final = 1.0
 """How often it is looked which workers there are."""
@@ -33,7 +33,7 @@ KEEP_S: Final = 15.0
 (`deploy.cluster.on_worker.IDLE_S`)."""
 UNREACHED: Final = (TimeoutError, ConnectionError, CommClosedError, KeyError)
 """What a worker raises that is on its way here or away: it is asked again."""
-MODULE: Final = "deploy.cluster.on_worker"
+MODULE: Final = "handfast.deploy.cluster.on_worker"
 
 
 @dataclass(frozen=True, slots=True)

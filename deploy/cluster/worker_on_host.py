@@ -20,9 +20,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.hosts.remote_program import HostError, inside, request
+from handfast.deploy.hosts.remote_program import HostError, inside, request
 
-MODULE: Final = "deploy.cluster.worker_process"
+MODULE: Final = "handfast.deploy.cluster.worker_process"
 TEXT_MAX: Final = 300
 UNASKED_S: Final = 120.0
 """A campaign asks every second."""

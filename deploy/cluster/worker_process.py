@@ -1,4 +1,4 @@
-"""The process of a Dask worker on a host: ``python -m deploy.cluster.worker_process``.
+"""The process of a Dask worker on a host: ``python -m handfast.deploy.cluster.worker_process``.
 
 It reads one line of JSON from standard input, its settings, with certificates that never are in a file; it
 ends with all that it has started when that input does. A nanny of Dask's starts the worker again when it

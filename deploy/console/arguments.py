@@ -7,14 +7,14 @@ import os
 from pathlib import Path
 from typing import Final
 
-from agent.common.errors import Error
-from agent.common.quantities import seconds
-from agent.common.wording import did_you_mean, show
-from agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
-from agent.fleet.model import Fleet
-from agent.fleet.sections import LAWS
-from deploy.console.data_files import FLEETS, SCENARIOS, bundled
-from deploy.console.wording import some
+from handfast.agent.common.errors import Error
+from handfast.agent.common.quantities import seconds
+from handfast.agent.common.wording import did_you_mean, show
+from handfast.agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import LAWS
+from handfast.deploy.console.data_files import FLEETS, SCENARIOS, bundled
+from handfast.deploy.console.wording import some
 
 
 class InputError(Error):
@@ -273,9 +273,9 @@ def load(options: argparse.Namespace) -> Fleet:
     """The fleet as the options have it, resolved: offsets, edges and distances written out.
 
     Raises:
-        InputError, agent.fleet.model.FleetError: it cannot be.
+        InputError, handfast.agent.fleet.model.FleetError: it cannot be.
     """
-    from agent.formation.geometry import resolved
+    from handfast.agent.formation.geometry import resolved
 
     return resolved(load_unresolved(options))
 
@@ -290,7 +290,7 @@ def fleet_text(path: Path, scenario: Path | None = None) -> str:
     """The text of a fleet file, with the faults of a scenario in it if one is given.
 
     Raises:
-        agent.fleet.model.FleetError: one of them cannot be read, or is not valid.
+        handfast.agent.fleet.model.FleetError: one of them cannot be read, or is not valid.
     """
     text = read_text(path, "fleet file")
     if scenario is None:

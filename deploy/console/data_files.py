@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import deploy
-
-ROOT: Final = Path(deploy.__file__).parent.parent
-"""Folder of the import packages: the checkout's, or that of an installation."""
-_DATA: Final = ROOT / "deploy" / "data"
+ROOT: Final = Path(__file__).parents[3]
+"""Folder that holds the package `handfast`: a checkout, or site-packages of an installation."""
+_DATA: Final = ROOT / "handfast" / "deploy" / "data"
 FLEETS: Final = _DATA / "fleets"
 SCENARIOS: Final = _DATA / "scenarios"
 TEMPLATE: Final = _DATA / "template.toml"

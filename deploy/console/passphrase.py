@@ -7,7 +7,7 @@ import os
 import sys
 from typing import Final
 
-from deploy.console.arguments import InputError
+from handfast.deploy.console.arguments import InputError
 
 PASSPHRASE: Final = "HANDFAST_PASSPHRASE"
 """Variable of the environment for programs, which have no terminal."""

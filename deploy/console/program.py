@@ -5,7 +5,9 @@ from __future__ import annotations
 import sys
 from typing import Final
 
-_RUN: Final = "import sys; from deploy.cli import process; sys.argv[0] = 'handfast'; sys.exit(process())"
+_RUN: Final = (
+    "import sys; from handfast.deploy.cli import process; sys.argv[0] = 'handfast'; sys.exit(process())"
+)
 
 
 def handfast(*arguments: str) -> list[str]:

@@ -10,8 +10,8 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Final
 
-PACKAGES: Final = ("agent", "plant", "bridges", "deploy")
-MODULE: Final = "handfast.py"
+PACKAGES: Final = tuple(f"handfast/{name}" for name in ("agent", "plant", "bridges", "deploy"))
+MODULE: Final = "handfast/__init__.py"
 
 
 def sources_digest(root: Path, others: Mapping[str, bytes] | None = None) -> str:

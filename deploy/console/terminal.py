@@ -11,8 +11,8 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from agent.common.wording import printable
-from deploy.console.views import GONE
+from handfast.agent.common.wording import printable
+from handfast.deploy.console.views import GONE
 
 
 class TerminalView:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Final, Protocol, Self, TextIO
 
-from agent.common.wording import printable
+from handfast.agent.common.wording import printable
 
 GONE: Final = (OSError, ValueError)
 """What writing to an output raises that is gone, or closed."""

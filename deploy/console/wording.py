@@ -7,8 +7,8 @@ import traceback
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from agent.control.safety_distances import speed_max
-from agent.fleet.model import Fleet
+from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.fleet.model import Fleet
 
 NAMES_SHOWN: Final = 8
 FEW: Final = 20

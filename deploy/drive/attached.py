@@ -6,16 +6,16 @@ import time
 from collections.abc import Collection, Sequence
 from typing import Final
 
-from agent.control.hand import Pose
-from agent.fleet.model import Fleet
-from agent.messages.key_expressions import ROLES
-from agent.runtime.realtime_granted import Granted
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import robots
-from deploy.drive.preconditions import refusal
-from deploy.faults.process_actions import Action, Process
-from deploy.session.operator_session import OperatorSession
-from deploy.session.session import connected
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.runtime.realtime_granted import Granted
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import robots
+from handfast.deploy.drive.preconditions import refusal
+from handfast.deploy.faults.process_actions import Action, Process
+from handfast.deploy.session.operator_session import OperatorSession
+from handfast.deploy.session.session import connected
 
 NAMED_MAX: Final = 6
 """Of processes that go at one time, as when this machine is cut off, so many are named."""
@@ -115,8 +115,8 @@ def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool, given_ns: int) 
     """Why no drive of a fleet that is up may begin (`deploy.drive.preconditions.refusal`), "" when it may.
 
     Raises:
-        deploy.inventory.running.NoAnswerError: nobody is there.
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.deploy.inventory.running.NoAnswerError: nobody is there.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(OperatorSession(fleet), interrupt) as session:
         session.ask()

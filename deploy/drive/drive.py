@@ -9,28 +9,28 @@ from math import inf
 from operator import itemgetter
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection
-from agent.links.fault_plan import FaultPlan
-from agent.links.ticks import next_tick_ns
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Event, Heartbeat, Stop
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import robots, some
-from deploy.drive import realtime
-from deploy.drive.display.live_view import View
-from deploy.drive.fleet_state import FleetState, Record
-from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, why
-from deploy.drive.standstill import Standstill
-from deploy.drive.timing import Timing
-from deploy.faults.process_actions import WORDS, Action, actions
-from deploy.orders.mission_editing import OrderError
-from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
-from deploy.processes.protocol import Ended, FleetProcesses
-from deploy.session.joined_bus import OperatorBus
-from deploy.session.stop import Way
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.ticks import next_tick_ns
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Event, Heartbeat, Stop
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import robots, some
+from handfast.deploy.drive import realtime
+from handfast.deploy.drive.display.live_view import View
+from handfast.deploy.drive.fleet_state import FleetState, Record
+from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, why
+from handfast.deploy.drive.standstill import Standstill
+from handfast.deploy.drive.timing import Timing
+from handfast.deploy.faults.process_actions import WORDS, Action, actions
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
+from handfast.deploy.processes.protocol import Ended, FleetProcesses
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.session.stop import Way
 
 POLL_S: Final = 0.04
 DEATHS_PERIOD_NS: Final = NS_PER_S // 10
@@ -109,8 +109,8 @@ class Drive:
         With `detach` only until all have acknowledged the mission.
 
         Raises:
-            deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped
-            first).
+            handfast.deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is
+            stopped first).
         """
         try:
             if self._wait_until_ready() and self._begin():
@@ -147,7 +147,7 @@ class Drive:
         """Takes all that waits still, of processes that have ended meanwhile.
 
         Raises:
-            deploy.recording.recorder.RecordingError: the recording cannot be written.
+            handfast.deploy.recording.recorder.RecordingError: the recording cannot be written.
         """
         self._fleet_state.collect(inf)
 

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import (
     Ask,
     Beacon,
     HandState,
@@ -25,20 +25,20 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.runtime.clock import RealClock
-from deploy.console.wording import robots, some
-from deploy.drive.readiness import in_words, is_ready, may_begin, waits
-from deploy.drive.vehicle_checks import VehicleChecks
-from deploy.drive.watch import Watch, fleet_time_s
-from deploy.faults.process_actions import Process
-from deploy.inventory.own_orders import OwnOrders
-from deploy.orders.operator import HEARD_NS, Operator, Order
-from deploy.processes.protocol import FleetProcesses
-from deploy.recording.recorder import RecordingError
-from deploy.session.author import author
-from deploy.session.joined_bus import OperatorBus
-from deploy.session.live_operators import StopDoor
-from deploy.session.session import valid
+from handfast.agent.runtime.clock import RealClock
+from handfast.deploy.console.wording import robots, some
+from handfast.deploy.drive.readiness import in_words, is_ready, may_begin, waits
+from handfast.deploy.drive.vehicle_checks import VehicleChecks
+from handfast.deploy.drive.watch import Watch, fleet_time_s
+from handfast.deploy.faults.process_actions import Process
+from handfast.deploy.inventory.own_orders import OwnOrders
+from handfast.deploy.orders.operator import HEARD_NS, Operator, Order
+from handfast.deploy.processes.protocol import FleetProcesses
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.session.author import author
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.session.live_operators import StopDoor
+from handfast.deploy.session.session import valid
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
 """How often an order is sent again that a process has not acknowledged."""

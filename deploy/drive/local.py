@@ -8,21 +8,21 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.model import Fleet
-from deploy.console.interrupt import Interrupt
-from deploy.drive.display.live_view import View
-from deploy.drive.drive import Drive
-from deploy.drive.timing import Timing
-from deploy.inventory.registry import Registration
-from deploy.processes.child import environment
-from deploy.processes.forking import ForkServer
-from deploy.processes.local import Processes
-from deploy.processes.placement import Vehicle, held_orders, orders_folder
-from deploy.processes.scheduling import interrupting_nobody
-from deploy.report.run_folder import RunFolder
-from deploy.session.joined_bus import OperatorBus
-from deploy.session.operator_bus import operator_bus
-from deploy.session.stop_by_file import FileWay
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.drive.display.live_view import View
+from handfast.deploy.drive.drive import Drive
+from handfast.deploy.drive.timing import Timing
+from handfast.deploy.inventory.registry import Registration
+from handfast.deploy.processes.child import environment
+from handfast.deploy.processes.forking import ForkServer
+from handfast.deploy.processes.local import Processes
+from handfast.deploy.processes.placement import Vehicle, held_orders, orders_folder
+from handfast.deploy.processes.scheduling import interrupting_nobody
+from handfast.deploy.report.run_folder import RunFolder
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.session.operator_bus import operator_bus
+from handfast.deploy.session.stop_by_file import FileWay
 
 LISTEN_MORE: Final = 2
 """Periods more until the first tick in which a robot may drive."""
@@ -64,9 +64,9 @@ class LocalRun:
         """From start to end; whatever happens, no process is left.
 
         Raises:
-            agent.transport.bus.BusError: the operator's session cannot be opened.
-            deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped
-            first).
+            handfast.agent.transport.bus.BusError: the operator's session cannot be opened.
+            handfast.deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is
+            stopped first).
         """
         # Known before it starts and until it has ended: whoever wants to stop it must find it.
         name, path = self._fleet.fleet.name, self._folder.path

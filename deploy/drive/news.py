@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.messages.types import Mission, Resume, Stop
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.console.wording import grouped, robots
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
+from handfast.deploy.console.wording import grouped, robots
 
 SENTENCES_MAX: Final = 8
 """So many changes of one moment are shown; of more only the number."""

@@ -9,17 +9,17 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Final
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError
-from deploy.inventory.folders import out_folder
-from deploy.recording.run_files import REPORT_FILE
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.folders import out_folder
+from handfast.deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:
-    from deploy.console.interrupt import Interrupt
-    from deploy.report.run_folder import RunFolder
-    from deploy.verdict.run_result import RunResult
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.report.run_folder import RunFolder
+    from handfast.deploy.verdict.run_result import RunResult
 
 EARLY_S: Final = 0.5
 """A drive that ended so long before its time has ended early (`deploy.verdict.completeness` says it, too)."""
@@ -31,7 +31,7 @@ def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolde
     Raises:
         InputError: it cannot be made.
     """
-    from deploy.report.run_folder import RunFolder
+    from handfast.deploy.report.run_folder import RunFolder
 
     return RunFolder(out_folder(options.out, fleet.fleet.name), fleet, mode)
 
@@ -42,7 +42,7 @@ def refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
     Raises:
         InputError: there are errors, and the options do not say to drive all the same.
     """
-    from deploy.check.check import check
+    from handfast.deploy.check.check import check
 
     findings = [finding for finding in check(fleet) if finding.level in ("error", "warning")]
     for finding in findings:
@@ -63,8 +63,8 @@ def finish(
     warnings: Sequence[str] = (),
 ) -> int:
     """Completes the folder, says the verdict, gives the exit status."""
-    from deploy.recording.recorder import RecordingError
-    from deploy.report.run_folder import NotDrawn
+    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.report.run_folder import NotDrawn
 
     try:
         result = folder.finish(

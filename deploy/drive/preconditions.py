@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable
-from agent.fleet.loading import digest
-from agent.messages.types import Stop
-from deploy.orders.operator import Known, Operator, is_since
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.loading import digest
+from handfast.agent.messages.types import Stop
+from handfast.deploy.orders.operator import Known, Operator, is_since
 
 OVER: Final = "the run is over"
 """Reason of the stop at the regular end of a drive."""

@@ -14,24 +14,24 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from agent.common.wording import printable
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.validation import Malformed
-from agent.runtime.clock import RealClock
-from agent.transport.bus import Bus
-from bridges.mavlink.ardupilot.constants import AVOID_ENABLE, RIGHT_FAILSAFES
-from bridges.mavlink.session.parameters import AUDITED
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import robots
-from deploy.drive import realtime
-from deploy.drive.preflight_matrix import matrix
-from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks, sentences
-from deploy.processes.local import VEHICLE, Processes
-from deploy.processes.placement import Vehicle
-from deploy.recording.run_files import FLEET_FILE
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.runtime.clock import RealClock
+from handfast.agent.transport.bus import Bus
+from handfast.bridges.mavlink.ardupilot.constants import AVOID_ENABLE, RIGHT_FAILSAFES
+from handfast.bridges.mavlink.session.parameters import AUDITED
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import robots
+from handfast.deploy.drive import realtime
+from handfast.deploy.drive.preflight_matrix import matrix
+from handfast.deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks, sentences
+from handfast.deploy.processes.local import VEHICLE, Processes
+from handfast.deploy.processes.placement import Vehicle
+from handfast.deploy.recording.run_files import FLEET_FILE
 
 TIMEOUT_S: Final = 20.0
 """A vehicle that has said nothing by then is not there."""
@@ -62,7 +62,7 @@ class Preflight:
         """What the vehicles tell; ends early when interrupted. Whatever happens, no process is left.
 
         Raises:
-            agent.transport.bus.BusError: the operator's session cannot be opened.
+            handfast.agent.transport.bus.BusError: the operator's session cannot be opened.
         """
         vehicles = self._checks.robots
         if vehicles:

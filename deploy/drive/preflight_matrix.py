@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, sentences
+from handfast.deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, sentences
 
 MARKS: Final = {OK: ".", WARNING: "!", BLOCKING: "X"}
 LEGEND: Final = f"{MARKS[OK]} ok   {MARKS[WARNING]} warning   {MARKS[BLOCKING]} blocking"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from agent.messages.types import PlantState, Status
-from agent.supervision.state_machine import State, at_rest
-from deploy.console.wording import NAMES_SHOWN, grouped, robots
+from handfast.agent.messages.types import PlantState, Status
+from handfast.agent.supervision.state_machine import State, at_rest
+from handfast.deploy.console.wording import NAMES_SHOWN, grouped, robots
 
 
 def is_ready(state: str) -> bool:

@@ -14,10 +14,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.fleet.process_section import ProcessSection
-from agent.messages.key_expressions import ROLES
-from agent.runtime.realtime_granted import (
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.runtime.realtime_granted import (
     KILLED_S,
     OVERRUN_S,
     POLICIES,
@@ -27,13 +27,13 @@ from agent.runtime.realtime_granted import (
     from_json,
     said,
 )
-from deploy.drive.vehicle_checks import OK, WARNING, Line, sentences
-from deploy.faults.process_actions import Process
-from deploy.processes.command_line import words_of
-from deploy.processes.protocol import FleetProcesses
+from handfast.deploy.drive.vehicle_checks import OK, WARNING, Line, sentences
+from handfast.deploy.faults.process_actions import Process
+from handfast.deploy.processes.command_line import words_of
+from handfast.deploy.processes.protocol import FleetProcesses
 
 NAME: Final = "realtime"
-TRIAL: Final = "agent.runtime.realtime"
+TRIAL: Final = "handfast.agent.runtime.realtime"
 TRIAL_S: Final = 20.0
 GIVEN_UP: Final = POLICIES[0]
 _TASKS: Final = Path("/proc/self/task")

@@ -7,15 +7,15 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent.messages import key_expressions
-from deploy.console.interrupt import Interrupt
-from deploy.drive.display.live_view import View
-from deploy.drive.fleet_state import COLLECT_S, FleetState
-from deploy.drive.readiness import stands
-from deploy.drive.timing import Timing
-from deploy.orders.stop_outcome import Stopping, has_acknowledged
-from deploy.recording.recorder import RecordingError
-from deploy.session.stop import Way
+from handfast.agent.messages import key_expressions
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.drive.display.live_view import View
+from handfast.deploy.drive.fleet_state import COLLECT_S, FleetState
+from handfast.deploy.drive.readiness import stands
+from handfast.deploy.drive.timing import Timing
+from handfast.deploy.orders.stop_outcome import Stopping, has_acknowledged
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.session.stop import Way
 
 LOOK_S: Final = 0.02
 LATE_S: Final = 0.5

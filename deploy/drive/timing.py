@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 OWN_AHEAD_NS: Final = NS_PER_S // 4
 OWN_AHEAD_PER_PROCESS_NS: Final = NS_PER_S // 250

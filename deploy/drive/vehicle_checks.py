@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Container, Iterable
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.types import LEVELS, Checks, Message
-from deploy.console.wording import grouped, robots
-from plant.backend import WAITING
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import LEVELS, Checks, Message
+from handfast.deploy.console.wording import grouped, robots
+from handfast.plant.backend import WAITING
 
 SETTLE_NS: Final = 5 * NS_PER_S
 """A blocking line that stays for so long, while nothing of that vehicle waits any more, is meant: a vehicle's

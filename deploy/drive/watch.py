@@ -9,13 +9,13 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from agent.formation.reference import Edge, Reference
-from agent.links.fault_plan import FaultPlan
-from agent.messages import key_expressions
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.reference import Edge, Reference
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import (
     SEVERITIES,
     Beacon,
     Checks,
@@ -29,17 +29,17 @@ from agent.messages.types import (
     StatusText,
     Stop,
 )
-from agent.supervision.state_machine import DRIVING_NAMES
-from agent.supervision.status import status_hz
-from deploy.analysis.places import AT_PLACE
-from deploy.analysis.silent_bodies import SilentBodies, SilentBody
-from deploy.drive.lagging import Lagging
-from deploy.drive.news import Happening, News
-from deploy.drive.vehicle_checks import Line
-from deploy.faults.live import Held, shown
-from deploy.faults.wording import defaults, held, lasts, words
-from deploy.orders.operator import Known
-from plant.backend import BATTERY
+from handfast.agent.supervision.state_machine import DRIVING_NAMES
+from handfast.agent.supervision.status import status_hz
+from handfast.deploy.analysis.places import AT_PLACE
+from handfast.deploy.analysis.silent_bodies import SilentBodies, SilentBody
+from handfast.deploy.drive.lagging import Lagging
+from handfast.deploy.drive.news import Happening, News
+from handfast.deploy.drive.vehicle_checks import Line
+from handfast.deploy.faults.live import Held, shown
+from handfast.deploy.faults.wording import defaults, held, lasts, words
+from handfast.deploy.orders.operator import Known
+from handfast.plant.backend import BATTERY
 
 GRAVE: Final = frozenset(SEVERITIES[: SEVERITIES.index("warning") + 1])
 """Of what vehicles say, what is shown of a drive; all of it is recorded."""

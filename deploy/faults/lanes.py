@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from deploy.faults.windows import spans
-from deploy.faults.wording import defaults, words
-from deploy.recording.recording import Recording
+from handfast.deploy.faults.windows import spans
+from handfast.deploy.faults.wording import defaults, words
+from handfast.deploy.recording.recording import Recording
 
 
 @dataclass(frozen=True)

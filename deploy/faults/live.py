@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.fleet.fault_rules import Rule
-from agent.fleet.model import Fleet
-from agent.fleet.scenario import ScenarioError, parse_scenario
-from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
-from agent.messages import key_expressions
-from agent.messages.types import Faults, Message
-from deploy.faults.wording import held, words
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.fault_rules import Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
+from handfast.agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Faults, Message
+from handfast.deploy.faults.wording import held, words
 
 Receiver = tuple[int, str]
 """(robot, role) of a process that live rules are for."""

@@ -6,15 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, get_args, get_origin
 
-from agent.common.models import plain
-from agent.common.reader import Reader
-from agent.common.settings import Entry, entries
-from agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
-from agent.fleet.scenario import ScenarioError, parse_scenario
-from agent.links.timed_rules import named
-from agent.messages.types import RULES_MAX
-from deploy.console.arguments import InputError
-from deploy.faults.wording import defaults
+from handfast.agent.common.models import plain
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import Entry, entries
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
+from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
+from handfast.agent.links.timed_rules import named
+from handfast.agent.messages.types import RULES_MAX
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.faults.wording import defaults
 
 NOT_LIVE: Final = (*ACTION_FIELDS, *CLOCK_FIELDS)
 """Fields of a rule that a running fleet cannot take."""

@@ -10,8 +10,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal, NamedTuple
 
-from agent.fleet.fault_rules import ACTION_FIELDS, Rule
-from agent.messages.key_expressions import ROLES
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Rule
+from handfast.agent.messages.key_expressions import ROLES
 
 What = Literal["kill", "start", "stop", "continue"]
 Process = tuple[int, str]

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from agent.fleet.fault_rules import Rule
-from agent.fleet.scenario import ScenarioError, parse_scenario
-from agent.links.fault_plan import FaultPlan
-from agent.links.timed_rules import named
-from agent.messages.types import EVERY_AUTHOR, Faults
-from deploy.faults.wording import lasts
+from handfast.agent.fleet.fault_rules import Rule
+from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.timed_rules import named
+from handfast.agent.messages.types import EVERY_AUTHOR, Faults
+from handfast.deploy.faults.wording import lasts
 
 if TYPE_CHECKING:
-    from deploy.recording.recording import Recording
+    from handfast.deploy.recording.recording import Recording
 
 WINDOWS_MAX: Final = 2000
 """A rule that comes again more often than this is taken to hold all the time."""

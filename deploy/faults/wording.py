@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from math import floor, inf
 from typing import Any
 
-from agent.common.models import plain
-from agent.common.quantities import UNITS, text
-from agent.common.settings import entries
-from agent.fleet.fault_rules import (
+from handfast.agent.common.models import plain
+from handfast.agent.common.quantities import UNITS, text
+from handfast.agent.common.settings import entries
+from handfast.agent.fleet.fault_rules import (
     LINK_FIELDS,
     PROCESS_FIELDS,
     SENSOR_FIELDS,
@@ -18,7 +18,7 @@ from agent.fleet.fault_rules import (
     Impairments,
     Rule,
 )
-from deploy.console.wording import robots
+from handfast.deploy.console.wording import robots
 
 _WHERE_AND_WHEN = ("name", "link", "robot", "topic", "partition", "at", "for", "every", "until")
 

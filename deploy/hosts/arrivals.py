@@ -6,14 +6,14 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import Message, Resume, Status, Stop
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.drive.preconditions import CAME_UP, is_lifted
-from deploy.drive.readiness import is_ready
-from deploy.faults.live import Receiver
-from deploy.session.operator_session import OperatorSession
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import Message, Resume, Status, Stop
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
+from handfast.deploy.drive.preconditions import CAME_UP, is_lifted
+from handfast.deploy.drive.readiness import is_ready
+from handfast.deploy.faults.live import Receiver
+from handfast.deploy.session.operator_session import OperatorSession
 
 _SETTLED: Final = DRIVING_NAMES | {State.STOPPED.value, State.RELEASED.value, State.HOLDING.value}
 

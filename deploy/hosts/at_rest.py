@@ -6,17 +6,17 @@ import time
 from contextlib import ExitStack, suppress
 from typing import Final, NamedTuple
 
-from agent.fleet.model import Fleet
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from agent.transport.bus import BusError
-from deploy.console.arguments import InputError
-from deploy.console.wording import robots as robots_words
-from deploy.hosts.arrivals import Arrivals
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.connection import HostConnection
-from deploy.hosts.jobs import HostJobs
-from deploy.hosts.view import Row
-from deploy.inventory.hosts import hosts_of, located
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.console.wording import robots as robots_words
+from handfast.deploy.hosts.arrivals import Arrivals
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.connection import HostConnection
+from handfast.deploy.hosts.jobs import HostJobs
+from handfast.deploy.hosts.view import Row
+from handfast.deploy.inventory.hosts import hosts_of, located
 
 LISTEN_S: Final = 2.0
 LOOK_S: Final = 0.05

@@ -8,18 +8,23 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final
 
-from agent.common.wording import printable
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.security.certificates import PEM_BYTES_MAX, CertificateError, authority_from_pem, fingerprint
-from agent.security.credentials import AUTHORITY_CERTIFICATE
-from agent.security.identity import Identity, of_robot, of_router
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.inventory.certificate_authority import Authority, AuthorityError
-from deploy.inventory.hosts import robots_on
-from deploy.inventory.operator_credentials import short
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.certificates import (
+    PEM_BYTES_MAX,
+    CertificateError,
+    authority_from_pem,
+    fingerprint,
+)
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE
+from handfast.agent.security.identity import Identity, of_robot, of_router
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError
+from handfast.deploy.inventory.hosts import robots_on
+from handfast.deploy.inventory.operator_credentials import short
 
-MODULE: Final = "agent.security"
+MODULE: Final = "handfast.agent.security"
 WHY_MAX: Final = 200
 
 

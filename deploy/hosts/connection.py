@@ -13,10 +13,10 @@ from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import IO, Any, Final, NamedTuple
 
-from agent.common.wording import printable
-from agent.fleet.hosts import HostSection
-from deploy.hosts import remote_program
-from deploy.inventory import ssh
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.hosts import HostSection
+from handfast.deploy.hosts import remote_program
+from handfast.deploy.inventory import ssh
 
 PROGRAM: Final = Path(remote_program.__file__)
 PYTHONS: Final = ("python3", "python3.14", "python3.13", "python3.12", "python3.11")

@@ -8,13 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet.model import Fleet
-from agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
-from deploy.console.wording import some
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.view import Row
-from deploy.inventory.folders import cache_folder
-from deploy.inventory.hosts import robots_on
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
+from handfast.deploy.console.wording import some
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.view import Row
+from handfast.deploy.inventory.folders import cache_folder
+from handfast.deploy.inventory.hosts import robots_on
 
 PART_BYTES: Final = 1 << 20
 SHARE_MAX: Final = 10
@@ -64,7 +64,8 @@ class Fetching:
         """Brings the recordings of one host's robots; see `deploy.hosts.jobs.Work`.
 
         Raises:
-            deploy.hosts.connection.HostError: the connection was lost, a file cannot be read or kept, or the
+            handfast.deploy.hosts.connection.HostError: the connection was lost, a file cannot be read or
+            kept, or the
                 host says what cannot be.
         """
         got = 0

@@ -9,14 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Final
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from deploy.console.interrupt import Interrupt
-from deploy.hosts.artifacts.bundle import end_downloads
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.view import DOING, INTERRUPTED, HostsView, Row
-from deploy.inventory import ssh
-from deploy.inventory.hosts import robots_on
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.hosts.artifacts.bundle import end_downloads
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.view import DOING, INTERRUPTED, HostsView, Row
+from handfast.deploy.inventory import ssh
+from handfast.deploy.inventory.hosts import robots_on
 
 AT_ONCE_MAX: Final = 32
 """Hosts that are brought something at a time: megabytes for each."""

@@ -12,21 +12,21 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
 from typing import Any, Final
 
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.types import Checks, Message
-from agent.transport.bus import BusError
-from deploy.console.interrupt import Interrupt
-from deploy.drive.preflight import BOOT_TIMEOUT_S, TIMEOUT_S, Found, add
-from deploy.drive.vehicle_checks import BLOCKING, Line, VehicleChecks
-from deploy.hosts import realtime
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.jobs import HostJobs
-from deploy.hosts.view import FAILED, Row
-from deploy.inventory.hosts import robots_on
-from deploy.session.session import INBOX, POLL_S, Session
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Checks, Message
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.drive.preflight import BOOT_TIMEOUT_S, TIMEOUT_S, Found, add
+from handfast.deploy.drive.vehicle_checks import BLOCKING, Line, VehicleChecks
+from handfast.deploy.hosts import realtime
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.jobs import HostJobs
+from handfast.deploy.hosts.view import FAILED, Row
+from handfast.deploy.inventory.hosts import robots_on
+from handfast.deploy.session.session import INBOX, POLL_S, Session
 
 QUIET_S: Final = 4.0
 """A bridge says its checks once a second: for whom nothing came for so long, its host is asked."""
@@ -59,7 +59,7 @@ class HostsPreflight:
         """What the vehicles tell; ends early when interrupted.
 
         Raises:
-            deploy.console.arguments.InputError: this operator may not hear the fleet.
+            handfast.deploy.console.arguments.InputError: this operator may not hear the fleet.
         """
         with ExitStack() as stack:
             session = None

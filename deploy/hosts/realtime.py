@@ -6,17 +6,17 @@ import json
 from collections.abc import Iterable
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.messages.key_expressions import ROLES
-from agent.runtime.realtime_granted import Granted, from_json
-from deploy.drive.realtime import NAME, lines
-from deploy.drive.vehicle_checks import WARNING, Line, sentences
-from deploy.faults.process_actions import Process
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.inventory.hosts import robots_on
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.runtime.realtime_granted import Granted, from_json
+from handfast.deploy.drive.realtime import NAME, lines
+from handfast.deploy.drive.vehicle_checks import WARNING, Line, sentences
+from handfast.deploy.faults.process_actions import Process
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.inventory.hosts import robots_on
 
-MODULE: Final = "agent.runtime.realtime_granted"
+MODULE: Final = "handfast.agent.runtime.realtime_granted"
 
 
 def granted_on(connection: HostConnection, fleet: Fleet) -> dict[Process, Granted | None]:

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any, Final
 
 GREETING: Final = b"handfast host program 1\n"
-OWN_NAME: Final = "deploy.hosts.remote_program"
+OWN_NAME: Final = "handfast.deploy.hosts.remote_program"
 SYSTEMCTL_TIMEOUT_S: Final = 30.0
 INSTALL_TIMEOUT_S: Final = 300.0
 LOOK_S: Final = 0.5
@@ -328,7 +328,7 @@ def make_version(folder: Path, wheels: list[str], pip: str, program: str) -> Non
         waited_for=True,
     )
     found = command([python, "-P", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], 30.0)
-    modules = ["agent.__main__", "plant.__main__", "bridges.mavlink.__main__"]
+    modules = ["handfast.agent.__main__", "handfast.plant.__main__", "handfast.bridges.mavlink.__main__"]
     with zipfile.ZipFile(inside(program)) as archive:
         archive.extractall(found.stdout.strip())
         if PLUGINS in archive.namelist():

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.hosts.remote_program import request
+from handfast.deploy.hosts.remote_program import request
 
 PORTS: Final = ("serial/by-id/*", "serial[0-9]*", "ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*")
 """What there may be a vehicle at, below /dev."""

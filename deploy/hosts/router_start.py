@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.setup import Prepared
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.setup import Prepared
 
 LOOK_S: Final = 0.2
 

@@ -7,13 +7,13 @@ import hashlib
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple, Protocol
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for
-from deploy.hosts.connection import Clock, HostConnection, HostError
-from deploy.hosts.vehicle_ports import port_warnings
-from deploy.inventory.hosts import robots_on
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for
+from handfast.deploy.hosts.connection import Clock, HostConnection, HostError
+from handfast.deploy.hosts.vehicle_ports import port_warnings
+from handfast.deploy.inventory.hosts import robots_on
 
 INSTALL_TIMEOUT_S: Final = 400.0
 INSTALL_BYTES: Final = 500_000_000

@@ -13,19 +13,19 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from agent.common.wording import printable
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.messages.types import Status
-from agent.security.certificates import DAY_S, until
-from agent.security.identity import Identity, IdentityError, of_robot, of_router, parse
-from agent.supervision.state_machine import State
-from deploy.console.wording import FEW, robots
-from deploy.drive.display.fleet_table import STYLES
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.certificates import identities_on
-from deploy.hosts.connection import Clock, HostError
-from deploy.inventory.expiry import Expiry
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Status
+from handfast.agent.security.certificates import DAY_S, until
+from handfast.agent.security.identity import Identity, IdentityError, of_robot, of_router, parse
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.console.wording import FEW, robots
+from handfast.deploy.drive.display.fleet_table import STYLES
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.certificates import identities_on
+from handfast.deploy.hosts.connection import Clock, HostError
+from handfast.deploy.inventory.expiry import Expiry
 
 HERE: Final = "here"
 QUIET: Final = "-"

@@ -9,22 +9,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.messages.codec import encode
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import TIME_NS_MAX, Stop
-from agent.messages.versions import least_believed
-from agent.runtime.order_store import packed
-from deploy.console.arguments import InputError
-from deploy.hosts.connection import ANSWER_BYTES, HostConnection, HostError
-from deploy.hosts.remote_program import STOP_TEXT_MAX, STOPS_SHOWN
-from deploy.inventory import ssh
-from deploy.inventory.hosts import robots_on
-from deploy.orders.robot_clocks import OFF_NS
-from deploy.orders.stop_outcome import SAYS_BRAKES, Stopping
-from deploy.session.sealing import sealed
-from deploy.session.stop_by_file import kept_versions
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import TIME_NS_MAX, Stop
+from handfast.agent.messages.versions import least_believed
+from handfast.agent.runtime.order_store import packed
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.hosts.connection import ANSWER_BYTES, HostConnection, HostError
+from handfast.deploy.hosts.remote_program import STOP_TEXT_MAX, STOPS_SHOWN
+from handfast.deploy.inventory import ssh
+from handfast.deploy.inventory.hosts import robots_on
+from handfast.deploy.orders.robot_clocks import OFF_NS
+from handfast.deploy.orders.stop_outcome import SAYS_BRAKES, Stopping
+from handfast.deploy.session.sealing import sealed
+from handfast.deploy.session.stop_by_file import kept_versions
 
 LOOK_S: Final = 0.1
 LOOK_LATER: Final = 1.5

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from agent.fleet.model import Fleet
-from agent.messages.key_expressions import ROLES
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.status import HostStatus
-from deploy.inventory.known_fleets import KnownFleet
-from deploy.inventory.registry import Running
-from deploy.processes.log_files import last_words
-from deploy.processes.table import PAUSED, fleet_processes, state_of
-from deploy.recording.run_files import LOG_FOLDER
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.status import HostStatus
+from handfast.deploy.inventory.known_fleets import KnownFleet
+from handfast.deploy.inventory.registry import Running
+from handfast.deploy.processes.log_files import last_words
+from handfast.deploy.processes.table import PAUSED, fleet_processes, state_of
+from handfast.deploy.recording.run_files import LOG_FOLDER
 
 
 def logs_of(known: KnownFleet) -> Path | None:

@@ -15,32 +15,32 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.messages.codec import encode
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import Resume, Stop
-from agent.runtime.order_store import packed
-from agent.supervision.state_machine import DRIVING_NAMES
-from agent.transport.bus import BusError
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import robots as robots_words
-from deploy.console.wording import some
-from deploy.drive.preconditions import clock, older_mission, why
-from deploy.hosts import realtime
-from deploy.hosts.arrivals import Arrivals
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.artifacts.bundle import program_archive
-from deploy.hosts.artifacts.plugin_files import plugin_modules
-from deploy.hosts.certificates import AnotherAuthorityError, HostKeys
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.jobs import AT_ONCE_MAX, HostJobs, Work
-from deploy.hosts.remote_program import STOP_TEXT_MAX
-from deploy.hosts.router_start import start_router
-from deploy.hosts.setup import Prepared, prepare
-from deploy.hosts.view import DOING, DONE, FAILED, INTERRUPTED, HostsView, Row
-from deploy.inventory.hosts import robots_on, robots_text
-from deploy.session.sealing import sealed, unsealed
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import Resume, Stop
+from handfast.agent.runtime.order_store import packed
+from handfast.agent.supervision.state_machine import DRIVING_NAMES
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import robots as robots_words
+from handfast.deploy.console.wording import some
+from handfast.deploy.drive.preconditions import clock, older_mission, why
+from handfast.deploy.hosts import realtime
+from handfast.deploy.hosts.arrivals import Arrivals
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.artifacts.bundle import program_archive
+from handfast.deploy.hosts.artifacts.plugin_files import plugin_modules
+from handfast.deploy.hosts.certificates import AnotherAuthorityError, HostKeys
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.jobs import AT_ONCE_MAX, HostJobs, Work
+from handfast.deploy.hosts.remote_program import STOP_TEXT_MAX
+from handfast.deploy.hosts.router_start import start_router
+from handfast.deploy.hosts.setup import Prepared, prepare
+from handfast.deploy.hosts.view import DOING, DONE, FAILED, INTERRUPTED, HostsView, Row
+from handfast.deploy.inventory.hosts import robots_on, robots_text
+from handfast.deploy.session.sealing import sealed, unsealed
 
 SAY_PERIOD_S: Final = 0.25
 ORDERS_EACH: Final = 4
@@ -137,7 +137,7 @@ class BringUp:
         """Brings all up; what became of each host and robot is in `rows` then.
 
         Raises:
-            agent.transport.bus.BusError: the operator's session cannot be opened.
+            handfast.agent.transport.bus.BusError: the operator's session cannot be opened.
         """
         arrivals = self._open(view, interrupt)
         if arrivals is None:

@@ -6,12 +6,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from agent.common.wording import printable
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from deploy.hosts import remote_vehicle
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.inventory.hosts import robots_on
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.hosts import remote_vehicle
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.inventory.hosts import robots_on
 
 TEXT_MAX: Final = 200
 

@@ -12,10 +12,10 @@ from typing import Final, Protocol, TextIO
 from rich.console import Group
 from rich.table import Table
 
-from deploy.console.terminal import TerminalView, plain
-from deploy.console.views import LinesView, Speaker
-from deploy.console.wording import FEW
-from deploy.console.wording import robots as robots_words
+from handfast.deploy.console.terminal import TerminalView, plain
+from handfast.deploy.console.views import LinesView, Speaker
+from handfast.deploy.console.wording import FEW
+from handfast.deploy.console.wording import robots as robots_words
 
 DOING, DONE, FAILED = "doing", "done", "failed"
 _COUNT: Final = re.compile(r" \d+ of (?=\d+ MB)")  # how far it has come is for the table

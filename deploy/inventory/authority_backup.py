@@ -11,8 +11,8 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from agent.security import private_files
-from agent.security.certificates import (
+from handfast.agent.security import private_files
+from handfast.agent.security.certificates import (
     CertificateError,
     authority_from_pem,
     fingerprint,
@@ -21,10 +21,10 @@ from agent.security.certificates import (
     pem_of,
     pem_of_key,
 )
-from agent.security.credentials import authority_of
-from agent.security.private_files import KeyFileError
-from deploy.inventory.certificate_authority import INDEX_BYTES_MAX, INDEX_FILE, AuthorityError
-from deploy.inventory.operator_credentials import AUTHORITY_FILE, short
+from handfast.agent.security.credentials import authority_of
+from handfast.agent.security.private_files import KeyFileError
+from handfast.deploy.inventory.certificate_authority import INDEX_BYTES_MAX, INDEX_FILE, AuthorityError
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, short
 
 BACKUP_BYTES_MAX: Final = 2 * INDEX_BYTES_MAX
 KDF_ROUNDS: Final = 600_000

@@ -18,8 +18,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.security import private_files
-from agent.security.certificates import (
+from handfast.agent.security import private_files
+from handfast.agent.security.certificates import (
     DAY_S,
     Certificate,
     CertificateError,
@@ -32,12 +32,12 @@ from agent.security.certificates import (
     pem_of,
     pem_of_key,
 )
-from agent.security.credentials import AUTHORITY_CERTIFICATE, authority_of
-from agent.security.identity import Identity, IdentityError, addresses, parse
-from agent.security.private_files import KeyFileError
-from deploy.inventory.certificate_builder import self_signed, signed
-from deploy.inventory.certificate_requests import RequestError, examined
-from deploy.inventory.operator_credentials import (
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE, authority_of
+from handfast.agent.security.identity import Identity, IdentityError, addresses, parse
+from handfast.agent.security.private_files import KeyFileError
+from handfast.deploy.inventory.certificate_builder import self_signed, signed
+from handfast.deploy.inventory.certificate_requests import RequestError, examined
+from handfast.deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
     keep_as_earlier,
     short,

@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Final
 
-from agent.security.certificates import pem_of
-from agent.security.identity import Identity
+from handfast.agent.security.certificates import pem_of
+from handfast.agent.security.identity import Identity
 
 if TYPE_CHECKING:
     from cryptography import x509

@@ -7,14 +7,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.fleet.model import Fleet
-from agent.security import private_files
-from agent.security.certificates import DAY_S
-from agent.security.credentials import RENEW_DAYS, CredentialsError, load_whenever
-from agent.security.identity import IdentityError, of_operator, of_robot
-from agent.security.private_files import KeyFileError
-from deploy.inventory.certificate_authority import INDEX_BYTES_MAX, INDEX_FILE
-from deploy.inventory.operator_credentials import keys_folder, operator_name
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security import private_files
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.credentials import RENEW_DAYS, CredentialsError, load_whenever
+from handfast.agent.security.identity import IdentityError, of_operator, of_robot
+from handfast.agent.security.private_files import KeyFileError
+from handfast.deploy.inventory.certificate_authority import INDEX_BYTES_MAX, INDEX_FILE
+from handfast.deploy.inventory.operator_credentials import keys_folder, operator_name
 
 WARN_DAYS: Final = RENEW_DAYS
 """From so many days before its end a certificate is warned of: the same from which it is renewed."""

@@ -18,12 +18,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet
-from deploy.console.wording import some
-from deploy.inventory.folders import state_folder
-from deploy.inventory.hosts import robots_on
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.wording import some
+from handfast.deploy.inventory.folders import state_folder
+from handfast.deploy.inventory.hosts import robots_on
 
 FLEET_FILE: Final = "fleet.toml"
 _RECORD_FILE: Final = "up.json"

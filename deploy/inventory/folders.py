@@ -8,7 +8,7 @@ from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
 
-from deploy.console.arguments import InputError
+from handfast.deploy.console.arguments import InputError
 
 
 def cache_folder(kind: str) -> Path:

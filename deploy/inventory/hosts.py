@@ -7,13 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Final
 
-from agent.common.reader import Problem
-from agent.fleet.hosts import HostSection
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet, FleetError
-from deploy.console.arguments import InputError
-from deploy.console.wording import some
-from deploy.inventory import ssh
+from handfast.agent.common.reader import Problem
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.console.wording import some
+from handfast.deploy.inventory import ssh
 
 ASKED_AT_ONCE: Final = 16
 

@@ -14,16 +14,16 @@ from pathlib import Path
 from shlex import quote
 from typing import Final
 
-from agent.common.wording import did_you_mean, show
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet, FleetError
-from agent.fleet.sections import Robot
-from deploy.console.arguments import fleet_path, refuse_long
-from deploy.console.data_files import bundled
-from deploy.console.wording import NAMES_SHOWN, some
-from deploy.inventory.fleets_up import FleetUp, fleets_up
-from deploy.inventory.hosts import located
-from deploy.inventory.registry import Running, entries
+from handfast.agent.common.wording import did_you_mean, show
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.fleet.sections import Robot
+from handfast.deploy.console.arguments import fleet_path, refuse_long
+from handfast.deploy.console.data_files import bundled
+from handfast.deploy.console.wording import NAMES_SHOWN, some
+from handfast.deploy.inventory.fleets_up import FleetUp, fleets_up
+from handfast.deploy.inventory.hosts import located
+from handfast.deploy.inventory.registry import Running, entries
 
 NONE: Final = "no fleet runs here"
 
@@ -72,7 +72,7 @@ class KnownFleet:
 
         Raises:
             NotRunningError: its process lives, but its file cannot be read any more.
-            agent.fleet.model.FleetError: another file is not valid.
+            handfast.agent.fleet.model.FleetError: another file is not valid.
         """
         try:
             return load_fleet(self.fleet_file)
@@ -162,7 +162,8 @@ def find(what: str) -> KnownFleet:
 
     Raises:
         SeveralError: more than one is meant.
-        NotRunningError, agent.fleet.model.FleetError, deploy.console.arguments.InputError: see `meant`.
+        NotRunningError, handfast.agent.fleet.model.FleetError, handfast.deploy.console.arguments.InputError:
+        see `meant`.
     """
     fleets = meant(what)
     if len(fleets) > 1:
@@ -180,8 +181,8 @@ def meant(what: str) -> list[KnownFleet]:
 
     Raises:
         NotRunningError: nothing of the kind is known.
-        agent.fleet.model.FleetError: it is a fleet file that is not valid.
-        deploy.console.arguments.InputError: nobody knows where a host of that file is.
+        handfast.agent.fleet.model.FleetError: it is a fleet file that is not valid.
+        handfast.deploy.console.arguments.InputError: nobody knows where a host of that file is.
     """
     refuse_long(what)
     path = Path(what)

@@ -14,9 +14,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.security import private_files
-from agent.security.credentials import AUTHORITY_CERTIFICATE, authority_of
-from agent.security.identity import MAIN
+from handfast.agent.security import private_files
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE, authority_of
+from handfast.agent.security.identity import MAIN
 
 OPERATOR: Final = "HANDFAST_OPERATOR"
 KEYS: Final = "HANDFAST_KEYS"
@@ -54,7 +54,7 @@ def keep_as_earlier(folder: Path) -> None:
     """Keeps what is in `folder`, before another authority takes the place of the one that is known there.
 
     Raises:
-        agent.security.private_files.KeyFileError: it cannot be read or written.
+        handfast.agent.security.private_files.KeyFileError: it cannot be read or written.
     """
     known = authority_of(folder)
     _keep_certificate(folder, short(known))

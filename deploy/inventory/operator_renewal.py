@@ -6,8 +6,8 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from agent.fleet.model import Fleet
-from agent.security.credentials import (
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.credentials import (
     Credentials,
     CredentialsError,
     NotValidNowError,
@@ -15,9 +15,9 @@ from agent.security.credentials import (
     make_request,
     store,
 )
-from agent.security.identity import Identity
-from agent.security.private_files import KeyFileError, exists
-from deploy.inventory.operator_credentials import AUTHORITY_FILE
+from handfast.agent.security.identity import Identity
+from handfast.agent.security.private_files import KeyFileError, exists
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE
 
 
 def usable(fleet: Fleet, folder: Path, identity: Identity, ahead_s: float = 0.0) -> Credentials:
@@ -27,13 +27,13 @@ def usable(fleet: Fleet, folder: Path, identity: Identity, ahead_s: float = 0.0)
         ahead_s: how far the clock by which they are to be valid is ahead of this machine's.
 
     Raises:
-        agent.security.credentials.CredentialsError: there are none, or they cannot be renewed here.
+        handfast.agent.security.credentials.CredentialsError: there are none, or they cannot be renewed here.
     """
     now_s = time.time() + ahead_s
     try:
         return load(folder, identity, now_s)
     except NotValidNowError as error:
-        from deploy.inventory.certificate_authority import Authority, AuthorityError
+        from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError
 
         try:
             if not exists(folder / AUTHORITY_FILE):

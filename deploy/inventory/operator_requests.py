@@ -10,15 +10,15 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
-from agent.security import private_files
-from agent.security.certificates import (
+from handfast.agent.security import private_files
+from handfast.agent.security.certificates import (
     PEM_BYTES_MAX,
     CertificateError,
     authority_from_pem,
     fingerprint,
     issued_from_pem,
 )
-from agent.security.credentials import (
+from handfast.agent.security.credentials import (
     PEM_CERTIFICATE,
     Credentials,
     CredentialsError,
@@ -26,9 +26,9 @@ from agent.security.credentials import (
     make_request,
     store,
 )
-from agent.security.identity import Identity, IdentityError, parse
-from deploy.inventory.certificate_requests import RequestError, examined
-from deploy.inventory.operator_credentials import (
+from handfast.agent.security.identity import Identity, IdentityError, parse
+from handfast.deploy.inventory.certificate_requests import RequestError, examined
+from handfast.deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
     keep_as_earlier,
     short,
@@ -43,7 +43,8 @@ def request(folder: Path, identity: Identity) -> bytes:
 
     Raises:
         RequestError: the authority is in that folder: nobody need be asked.
-        agent.security.credentials.CredentialsError, agent.security.private_files.KeyFileError: a file cannot
+        handfast.agent.security.credentials.CredentialsError,
+        handfast.agent.security.private_files.KeyFileError: a file cannot
             be read or written.
     """
     if private_files.exists(folder / AUTHORITY_FILE):
@@ -80,9 +81,10 @@ def install(folder: Path, bundle: bytes, fleet: str, operators: Collection[str],
     Raises:
         RequestError: they are of another fleet, or of somebody who gives no orders there; or `folder` has
             another authority itself.
-        agent.security.credentials.CredentialsError: the certificate is not the authority's work, not for the
+        handfast.agent.security.credentials.CredentialsError: the certificate is not the authority's work, not
+        for the
             key that waits here, or not valid now.
-        agent.security.private_files.KeyFileError: a file cannot be read or written.
+        handfast.agent.security.private_files.KeyFileError: a file cannot be read or written.
     """
     if len(bundle) > SIGNED_BYTES_MAX:
         raise RequestError(f"it has over {SIGNED_BYTES_MAX} bytes: these are not two certificates")

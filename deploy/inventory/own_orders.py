@@ -11,15 +11,15 @@ import time
 from pathlib import Path
 from typing import Final
 
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.messages.codec import decode, encode, newer
-from agent.messages.types import Mission, Resume, Stop
-from agent.messages.validation import Malformed
-from agent.messages.versions import as_believed
-from agent.runtime.order_store import FILE_BYTES_MAX, OrderFileError, packed, unpacked
-from agent.security.private_files import KeyFileError, exists, private_directory, read, write
-from deploy.inventory.folders import state_folder
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import decode, encode, newer
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.messages.versions import as_believed
+from handfast.agent.runtime.order_store import FILE_BYTES_MAX, OrderFileError, packed, unpacked
+from handfast.agent.security.private_files import KeyFileError, exists, private_directory, read, write
+from handfast.deploy.inventory.folders import state_folder
 
 Order = Mission | Stop | Resume
 _KINDS: Final = (Stop, Resume, Mission)

@@ -17,9 +17,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable
-from agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable
+from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 _PREFIX: Final = "run-"
 _SUFFIX: Final = ".json"

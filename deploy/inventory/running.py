@@ -7,12 +7,12 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from agent.common.exit import BAD_INPUT, FAILED
-from agent.fleet.model import Fleet, FleetError
-from deploy.console.arguments import InputError
+from handfast.agent.common.exit import BAD_INPUT, FAILED
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.deploy.console.arguments import InputError
 
 if TYPE_CHECKING:
-    from deploy.inventory.known_fleets import KnownFleet
+    from handfast.deploy.inventory.known_fleets import KnownFleet
 
 MEANING = (
     "FLEET is the name of a fleet that runs on this machine or that was brought up on hosts from here "
@@ -31,17 +31,17 @@ def running_fleet(what: str) -> Fleet:
     """The fleet that is meant, as its processes read it, with the addresses of its hosts.
 
     Raises:
-        deploy.inventory.known_fleets.NotRunningError, agent.fleet.model.FleetError: see
+        handfast.deploy.inventory.known_fleets.NotRunningError, handfast.agent.fleet.model.FleetError: see
         `deploy.inventory.known_fleets.find`. InputError: nobody knows where a host is.
     """
-    from deploy.inventory.known_fleets import find
+    from handfast.deploy.inventory.known_fleets import find
 
     return as_running(find(what))
 
 
 def as_running(known: KnownFleet) -> Fleet:
     """A known fleet as its processes read it, with the addresses of its hosts; raises as `running_fleet`."""
-    from deploy.inventory.hosts import located
+    from handfast.deploy.inventory.hosts import located
 
     return located(known.fleet) if known.on_hosts else known.fleet
 
@@ -51,9 +51,9 @@ def handled(command: Command) -> Command:
 
     def run(options: argparse.Namespace) -> int:
         # Here: opening the bus takes its time, and most commands do not.
-        from agent.runtime.runtime_folder import NotPrivateError
-        from agent.transport.bus import BusError
-        from deploy.inventory.known_fleets import NotRunningError
+        from handfast.agent.runtime.runtime_folder import NotPrivateError
+        from handfast.agent.transport.bus import BusError
+        from handfast.deploy.inventory.known_fleets import NotRunningError
 
         try:
             return command(options)

@@ -13,8 +13,8 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-from agent.common.wording import printable
-from agent.fleet.hosts import HostSection
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.hosts import HostSection
 
 CONNECT_TIMEOUT_S: Final = 6
 ALIVE_INTERVAL_S: Final = 3

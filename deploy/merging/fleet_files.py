@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final, NamedTuple
 
-from agent.common.wording import printable, show
-from agent.fleet.loading import digest as digest_of
-from agent.fleet.loading import fleet_tables, parse_fleet, to_dict
-from agent.fleet.model import Fleet, FleetError, FormationError
-from agent.fleet.plugin_tables import plugins_named
-from agent.formation.geometry import resolved
-from agent.recorder.segments import About
-from deploy.merging.robot_recording import MergeError, SegmentFile
+from handfast.agent.common.wording import printable, show
+from handfast.agent.fleet.loading import digest as digest_of
+from handfast.agent.fleet.loading import fleet_tables, parse_fleet, to_dict
+from handfast.agent.fleet.model import Fleet, FleetError, FormationError
+from handfast.agent.fleet.plugin_tables import plugins_named
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.recorder.segments import About
+from handfast.deploy.merging.robot_recording import MergeError, SegmentFile
 
 TEXTS_MAX: Final = 8
 """So many fleet files of one robot's recording are read: their texts may differ in what is no robot's affair,

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import Faults
-from agent.messages.validation import Malformed
-from agent.recorder.segments import Received
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Faults
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.recorder.segments import Received
 
 SETS_MAX: Final = 1024
 """So many sets of rules of one robot are looked at."""

@@ -15,22 +15,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode, newer
-from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
-from agent.recorder.segments import Received
-from agent.security.sealed_order import Openers
-from deploy.merging.fleet_files import FleetFiles, Ruling, taken
-from deploy.merging.held_faults import HeldFaults
-from deploy.merging.missing import Window, missing, times
-from deploy.merging.orders import Order, Orders, orders_given
-from deploy.merging.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
-from deploy.recording.recorder import RecordingError
-from deploy.report.run_folder import RunFolder
-from deploy.verdict.run_result import RunResult
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode, newer
+from handfast.agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
+from handfast.agent.recorder.segments import Received
+from handfast.agent.security.sealed_order import Openers
+from handfast.deploy.merging.fleet_files import FleetFiles, Ruling, taken
+from handfast.deploy.merging.held_faults import HeldFaults
+from handfast.deploy.merging.missing import Window, missing, times
+from handfast.deploy.merging.orders import Order, Orders, orders_given
+from handfast.deploy.merging.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.report.run_folder import RunFolder
+from handfast.deploy.verdict.run_result import RunResult
 
 MARGIN_NS: Final = 5 * NS_PER_S
 """Of the last mission so much before and after is taken as well."""
@@ -102,8 +102,8 @@ def merge(
 
     Raises:
         MergeError: there is nothing to make it of, or something cannot be read.
-        deploy.report.run_folder.FolderError: `out` is not empty or cannot be written.
-        deploy.recording.recorder.RecordingError: the recording cannot be written.
+        handfast.deploy.report.run_folder.FolderError: `out` is not empty or cannot be written.
+        handfast.deploy.recording.recorder.RecordingError: the recording cannot be written.
     """
     there_is = recordings(folders)
     plan = _plan(there_is.segments, choice or Choice(), known or Known())

@@ -7,11 +7,11 @@ from datetime import UTC, datetime
 from statistics import median_high, median_low
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.messages.types import TIME_NS_MAX
-from deploy.merging.robot_recording import GAP_NS, Damage, SegmentFile
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import TIME_NS_MAX
+from handfast.deploy.merging.robot_recording import GAP_NS, Damage, SegmentFile
 
 GAPS_SHOWN: Final = 5
 VERSION_MAX: Final = 60

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import median_low
 from typing import Final, NamedTuple
 
-from agent.messages.codec import decode
-from agent.messages.types import Message, Mission, Resume, Stop
-from agent.messages.validation import Malformed
-from agent.security.sealed_order import Forged, Openers, unverified
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Message, Mission, Resume, Stop
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.security.sealed_order import Forged, Openers, unverified
 
 DISTINCT_MAX: Final = 4096
 """Of one robot so many orders are looked at, the last ones: to look at a seal takes its time."""

@@ -13,11 +13,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.recorder.recorder import order_keys
-from agent.recorder.segment_folder import segment_paths
-from agent.recorder.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Received, Segment
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.recorder.recorder import order_keys
+from handfast.agent.recorder.segment_folder import segment_paths
+from handfast.agent.recorder.segments import (
+    ABOUT,
+    KNOWN,
+    MESSAGES,
+    ORDERS,
+    OVERFLOW,
+    About,
+    Received,
+    Segment,
+)
 
 GAP_NS: Final = NS_PER_S
 """A robot is never silent for so long: something is missing."""

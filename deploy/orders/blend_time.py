@@ -23,14 +23,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.control.safety_distances import speed_max
-from agent.fleet.model import Fleet
-from agent.formation.mission_plan import Plan
-from agent.formation.points import Floats
-from agent.formation.reference import BEND_MAX, RATE_MAX, blend_shape
-from agent.messages.types import Left
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.formation.points import Floats
+from handfast.agent.formation.reference import BEND_MAX, RATE_MAX, blend_shape
+from handfast.agent.messages.types import Left
 
 BLEND_MIN_S: Final = 1.0
 BLEND_MAX_S: Final = 600.0

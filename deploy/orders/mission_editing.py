@@ -15,23 +15,30 @@ from typing import Final
 
 import numpy as np
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.common.wording import show
-from agent.fleet.loading import digest
-from agent.fleet.model import Fleet, FormationError
-from agent.fleet.orders import ORDER_FIELDS, OrderSection, ShapeSection
-from agent.fleet.sections import TrajectorySection
-from agent.formation.graph import components
-from agent.formation.mission_plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
-from agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
-from agent.formation.trajectory import make_trajectory
-from agent.links.ticks import next_tick_ns
-from agent.messages.codec import decode, encode
-from agent.messages.types import Distance, Mission, Place, Removed, clipped
-from agent.messages.validation import Malformed
-from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for, left_of, reference_at
-from deploy.orders.trilateration import place_apart
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import show
+from handfast.agent.fleet.loading import digest
+from handfast.agent.fleet.model import Fleet, FormationError
+from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection, ShapeSection
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.graph import components
+from handfast.agent.formation.mission_plan import (
+    Edges,
+    Plan,
+    PlanError,
+    mission_parts,
+    trajectory_parts,
+    written_plan,
+)
+from handfast.agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.agent.links.ticks import next_tick_ns
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Distance, Mission, Place, Removed, clipped
+from handfast.agent.messages.validation import Malformed
+from handfast.deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for, left_of, reference_at
+from handfast.deploy.orders.trilateration import place_apart
 
 LEAD_NS: Final = NS_PER_S
 """From an order to its take-over: time for every robot to get it, also relayed by another one."""

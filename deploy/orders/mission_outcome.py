@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from agent.common.time import NS_PER_S
-from agent.messages.codec import newer
-from agent.messages.types import Mission, Status
-from deploy.console.wording import grouped, robots
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.codec import newer
+from handfast.agent.messages.types import Mission, Status
+from handfast.deploy.console.wording import grouped, robots
 
 
 def words(mission: Mission) -> str:

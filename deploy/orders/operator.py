@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection
-from agent.formation.geometry import Geometry
-from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.formation.mission_plan import Plan
-from agent.messages import key_expressions
-from agent.messages.codec import Mark, encode
-from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
+from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import Mark, encode
+from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.types import (
     FUTURE_NS_MAX,
     Ask,
     Beacon,
@@ -32,10 +32,10 @@ from agent.messages.types import (
     Stop,
     clipped,
 )
-from agent.messages.versions import as_believed, can_be
-from agent.supervision.state_machine import DRIVING_NAMES
-from deploy.console.wording import clock_ahead
-from deploy.orders.mission_editing import OrderError, first_mission, ordered
+from handfast.agent.messages.versions import as_believed, can_be
+from handfast.agent.supervision.state_machine import DRIVING_NAMES
+from handfast.deploy.console.wording import clock_ahead
+from handfast.deploy.orders.mission_editing import OrderError, first_mission, ordered
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
 HEARD_NS: Final = 2_000_000_000

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.reader import Problem, Reader
-from agent.common.settings import entries
-from agent.fleet.orders import OrderSection, ShapeSection
-from agent.fleet.scenario import ScenarioError, read_orders
-from agent.fleet.sections import TRAJECTORY_FIELDS
-from deploy.console.arguments import InputError
+from handfast.agent.common.reader import Problem, Reader
+from handfast.agent.common.settings import entries
+from handfast.agent.fleet.orders import OrderSection, ShapeSection
+from handfast.agent.fleet.scenario import ScenarioError, read_orders
+from handfast.agent.fleet.sections import TRAJECTORY_FIELDS
+from handfast.deploy.console.arguments import InputError
 
 if TYPE_CHECKING:
-    from agent.formation.mission_plan import Plan
+    from handfast.agent.formation.mission_plan import Plan
 
 OPTIONS: Final = {
     "robot": "--robot",
@@ -79,7 +79,7 @@ def shape_tables(
     Raises:
         InputError: there is nothing of the kind in the file, or an override cannot be.
     """
-    from agent.formation.mission_plan import (
+    from handfast.agent.formation.mission_plan import (
         trajectory_parts,  # here: numpy, which comes with it, takes its time
     )
 

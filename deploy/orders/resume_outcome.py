@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.types import Message, PlantState, Resume, Status
-from agent.supervision.situation import NOT_SAID
-from agent.supervision.state_machine import DRIVING_NAMES, MISSION_OVER, State
-from agent.supervision.stop_latch import AWAITED
-from deploy.console.wording import grouped, robots
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Message, PlantState, Resume, Status
+from handfast.agent.supervision.situation import NOT_SAID
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, MISSION_OVER, State
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.deploy.console.wording import grouped, robots
 
 _OVER: Final = (State.STOPPED.value, MISSION_OVER)
 

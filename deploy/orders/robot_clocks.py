@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 OFF_NS: Final = 60 * NS_PER_S
 """Clocks that agree to within this are right enough for an operator's orders."""

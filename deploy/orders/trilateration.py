@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import dist, hypot, sqrt
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.formation.realisation import DISTANCE_TOLERANCE
+from handfast.agent.common.quantities import Vector
+from handfast.agent.formation.realisation import DISTANCE_TOLERANCE
 
 _STEPS: Final = 20
 _SAME: Final = 1e-6  # places nearer to each other than this share of a distance are one

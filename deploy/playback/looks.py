@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from agent.supervision.state_machine import State
+from handfast.agent.supervision.state_machine import State
 
 DRIVES: Final = "drives"
 TROUBLED: Final = "troubled"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from agent.supervision.state_machine import State
-from deploy.console.wording import robots
-from deploy.faults.lanes import lanes
-from deploy.faults.process_actions import WORDS
-from deploy.recording.recording import Recording
-from deploy.verdict.oracles_distance import SEPARATION
-from deploy.verdict.run_result import RunResult
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.console.wording import robots
+from handfast.deploy.faults.lanes import lanes
+from handfast.deploy.faults.process_actions import WORDS
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.oracles_distance import SEPARATION
+from handfast.deploy.verdict.run_result import RunResult
 
 MARKS_MAX: Final = 2000
 """So many marks a page gets; of what is more the most important are kept."""

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.console.data_files import PAGE
+from handfast.deploy.console.data_files import PAGE
 
 PLAYER: Final = (
     *("main.js", "player.js", "plan.js", "drawing.js"),

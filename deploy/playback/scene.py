@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from agent.control.boundaries import Circle, fence_of, obstacles_of
-from agent.fleet.loading import law_name
-from agent.fleet.model import Fleet
-from deploy.analysis.stability import SETTLED
-from deploy.playback.looks import LOOKS
-from deploy.playback.marks import marks
-from deploy.playback.series import series
-from deploy.playback.track import COLUMNS, Track
-from deploy.verdict.run_result import RunResult
+from handfast.agent.control.boundaries import Circle, fence_of, obstacles_of
+from handfast.agent.fleet.loading import law_name
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.playback.looks import LOOKS
+from handfast.deploy.playback.marks import marks
+from handfast.deploy.playback.series import series
+from handfast.deploy.playback.track import COLUMNS, Track
+from handfast.deploy.verdict.run_result import RunResult
 
 FORMAT: Final = 1
 """Of what a page is given; one that finds another says so."""

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.formation.points import Floats
-from deploy.analysis.analysis import Analysis, norm
-from deploy.verdict.run_result import RunResult
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.analysis import Analysis, norm
+from handfast.deploy.verdict.run_result import RunResult
 
 BINS: Final = 1000
 """A curve has so many points at most: as many as a wide screen has pixels for it."""

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from agent.formation.points import Floats
-from deploy.recording.tables import StatusTable
-from deploy.verdict.run_result import RunResult
+from handfast.agent.formation.points import Floats
+from handfast.deploy.recording.tables import StatusTable
+from handfast.deploy.verdict.run_result import RunResult
 
 COLUMNS: Final = (
     "x", "y", "heading", "speed", "place_x", "place_y", "age_ms", "tick_us",

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from deploy.processes.command_line import words_of
-from deploy.processes.forking import UNSEEN, ForkServer
+from handfast.deploy.processes.command_line import words_of
+from handfast.deploy.processes.forking import UNSEEN, ForkServer
 
 LAST_LINES: Final = 5
 LINE_MAX: Final = 300

@@ -1,4 +1,5 @@
-"""``python -m deploy.processes.fork_server PARENT``: has loaded what robots' processes need, and forks them.
+"""``python -m handfast.deploy.processes.fork_server PARENT``: has loaded what robots' processes need, and
+forks them.
 
 An interpreter that starts and imports all of it costs half a second of processor time for each process, and
 memory of its own; one that is forked has both from here. Asked for is over the socket that is its standard
@@ -28,19 +29,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent.common.errors import Error
-from agent.fleet.plants import DEFAULT, KINDS
-from agent.messages import codec
-from agent.runtime import preloaded
-from deploy.processes import command_line, scheduling
-from deploy.processes.command_line import ROOM, words_of
-from deploy.processes.forking import MESSAGE_MAX, SERVER
+from handfast.agent.common.errors import Error
+from handfast.agent.fleet.plants import DEFAULT, KINDS
+from handfast.agent.messages import codec
+from handfast.agent.runtime import preloaded
+from handfast.deploy.processes import command_line, scheduling
+from handfast.deploy.processes.command_line import ROOM, words_of
+from handfast.deploy.processes.forking import MESSAGE_MAX, SERVER
 
 MODULES: Final = frozenset(
-    ("agent", *filter(None, (module for kind in KINDS.values() for module in (kind.program, kind.simulator))))
+    (
+        "handfast.agent",
+        *filter(None, (module for kind in KINDS.values() for module in (kind.program, kind.simulator))),
+    )
 )
 """Programs that can be forked: each has a `main(argv)` in its `__main__`."""
-PRELOADED: Final = "agent", KINDS[DEFAULT].program
+PRELOADED: Final = "handfast.agent", KINDS[DEFAULT].program
 """Those that every fleet has; others are imported when they are asked for."""
 STARTING_MAX: Final = 2 + (os.cpu_count() or 1)
 """So many processes are forked and not yet on the bus: more would only take each other's time, and robots

@@ -17,11 +17,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from deploy.processes import command_line
-from deploy.processes.command_line import ROOM, words_of
+from handfast.deploy.processes import command_line
+from handfast.deploy.processes.command_line import ROOM, words_of
 
 MESSAGE_MAX: Final = 1 << 17
-SERVER: Final = "deploy.processes.fork_server"
+SERVER: Final = "handfast.deploy.processes.fork_server"
 UNSEEN: Final = 1 << 16
 """Exit status of a process that has ended after the server, so that nobody saw how."""
 END_TIMEOUT_S: Final = 5.0

@@ -10,19 +10,19 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.control.hand import Pose
-from agent.fleet.model import Fleet
-from agent.messages.key_expressions import ROLES
-from agent.runtime.order_store import order_file
-from agent.runtime.process import log_name
-from agent.runtime.realtime_granted import Granted, look
-from deploy.check.load.sharing import sharing
-from deploy.console.wording import robots
-from deploy.faults.process_actions import Action, Process
-from deploy.processes.child import Child, end_all, name_of
-from deploy.processes.forking import ForkServer
-from deploy.processes.placement import Vehicle
-from deploy.processes.scheduling import niceness
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.runtime.order_store import order_file
+from handfast.agent.runtime.process import log_name
+from handfast.agent.runtime.realtime_granted import Granted, look
+from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.console.wording import robots
+from handfast.deploy.faults.process_actions import Action, Process
+from handfast.deploy.processes.child import Child, end_all, name_of
+from handfast.deploy.processes.forking import ForkServer
+from handfast.deploy.processes.placement import Vehicle
+from handfast.deploy.processes.scheduling import niceness
 
 VEHICLE: Final = "vehicle"
 """Role of a simulated rover. It is no process of the fleet's: it is not on the bus, and no rule names it."""
@@ -98,7 +98,7 @@ class Processes:
             arguments = ["--fleet", str(self._fleet_file), "--number", str(number)]
             log = self._log(f"router-{number}.log")
             self._children[number, ROUTER] = Child(
-                number, ROUTER, "agent.runtime.router", arguments, log, name=f"router {number}"
+                number, ROUTER, "handfast.agent.runtime.router", arguments, log, name=f"router {number}"
             )
         if fleet.is_routed and self._server is not None:
             self._server.yields(niceness(len(fleet.robots)))
@@ -115,7 +115,7 @@ class Processes:
 
     def _start(self, robot: int, role: str, pose: Pose | None) -> None:
         kind = self._fleet.robot(robot).kind
-        module = "agent" if role == "agent" else kind.program
+        module = "handfast.agent" if role == "agent" else kind.program
         arguments = ["--fleet", str(self._fleet_file), "--robot", str(robot)]
         if self._orders is not None:
             arguments += ["--orders", str(self._orders)]

@@ -13,11 +13,11 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.messages.codec import decode, encode
-from agent.messages.types import PlantState
-from agent.runtime.realtime_granted import ONLINE, cpu_list
-from deploy.check.capacity import Machine, is_looked_at, is_refused, overload
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import PlantState
+from handfast.agent.runtime.realtime_granted import ONLINE, cpu_list
+from handfast.deploy.check.capacity import Machine, is_looked_at, is_refused, overload
 
 WINDOWS: Final = 6
 ROUNDS: Final = 20

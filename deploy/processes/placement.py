@@ -12,12 +12,12 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.fleet.hosts import NetworkSection
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from agent.runtime.runtime_folder import private_folder
-from deploy.processes.ports import Reservation
+from handfast.agent.fleet.hosts import NetworkSection
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.runtime.runtime_folder import private_folder
+from handfast.deploy.processes.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"
 _ORDERS: Final = "orders"
@@ -34,7 +34,7 @@ def orders_folder(fleet: Fleet) -> Path:
     (`held_orders`).
 
     Raises:
-        agent.runtime.runtime_folder.NotPrivateError: there is no folder for it.
+        handfast.agent.runtime.runtime_folder.NotPrivateError: there is no folder for it.
     """
     return private_folder() / f"{_ORDERS}-{mark(fleet)}"
 
@@ -110,7 +110,7 @@ def place(fleet: Fleet) -> Placed:
     so a bridge knows of no simulators.
 
     Raises:
-        deploy.processes.ports.NoPortsError: when there are none.
+        handfast.deploy.processes.ports.NoPortsError: when there are none.
     """
     simulated = [robot.id for robot in fleet.robots if robot.is_simulated]
     of_processes = 2 * len(fleet.robots)
@@ -149,8 +149,8 @@ def vehicle(fleet: Fleet, robot: int, port: int) -> Vehicle:
     bridge that starts again hears it at once, and a second one on the same vehicle finds the port taken.
     """
     # Here: a fleet without vehicles needs no geodesy.
-    from bridges.mavlink.ardupilot.frames import yaw_degrees
-    from bridges.mavlink.simulator.settings import settings_of
+    from handfast.bridges.mavlink.ardupilot.frames import yaw_degrees
+    from handfast.bridges.mavlink.simulator.settings import settings_of
 
     settings = settings_of(fleet, robot)
     at, yaw_deg = settings.home, yaw_degrees(settings.yaw)

@@ -7,9 +7,9 @@ import os
 import socket
 from typing import Final
 
-from agent.common.errors import Error
-from agent.fleet.hosts import PORT_MAX
-from agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.agent.common.errors import Error
+from handfast.agent.fleet.hosts import PORT_MAX
+from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 BLOCK: Final = 128
 """Ports are reserved in blocks of this many."""

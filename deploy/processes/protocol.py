@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
 
-from agent.control.hand import Pose
-from agent.runtime.realtime_granted import Granted
-from deploy.faults.process_actions import Action, Process
+from handfast.agent.control.hand import Pose
+from handfast.agent.runtime.realtime_granted import Granted
+from handfast.deploy.faults.process_actions import Action, Process
 
 
 class Ended(Protocol):

@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.fleet.model import Fleet
-from deploy.faults.process_actions import Process
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.faults.process_actions import Process
 
 PROC: Final = Path("/proc")
 RUNS, PAUSED = "active", "paused"
@@ -44,7 +44,7 @@ def fleet_processes(fleet: Fleet, fleet_file: Path) -> dict[Process, ProcessStat
             if (os.readlink(folder / "cwd") / Path(file)).resolve() != fleet_file.resolve():
                 continue
             robot, module = int(_after(words, "--robot")), _after(words, "-m")
-            roles = {"agent": "agent", fleet.robot(robot).kind.program: "plant"}
+            roles = {"handfast.agent": "agent", fleet.robot(robot).kind.program: "plant"}
             state = process_state(int(folder.name))
             found.update(((each, roles[module]), state) for each in (robot, *_beside(words)))
     return found

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, resolve
-from agent.formation.mission_plan import PlanError, plan_of
-from agent.links.fault_plan import FaultPlan
-from agent.messages import key_expressions
-from agent.messages.codec import newer
-from agent.messages.types import (
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry, resolve
+from handfast.agent.formation.mission_plan import PlanError, plan_of
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import newer
+from handfast.agent.messages.types import (
     TIME_NS_MAX,
     TOPICS,
     Ask,
@@ -37,9 +37,9 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.recording.columns import Store
-from deploy.recording.recording import LiveFaults, Recording, RobotData
-from deploy.recording.rows import HandRows, LinkRows, Rows, StatusRows
+from handfast.deploy.recording.columns import Store
+from handfast.deploy.recording.recording import LiveFaults, Recording, RobotData
+from handfast.deploy.recording.rows import HandRows, LinkRows, Rows, StatusRows
 
 # A message whose time is further than this from its reception is nobody's measurement (garbage, or
 # a host whose clock was never set): it would stretch the run by hours.

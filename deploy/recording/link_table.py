@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation.points import Floats
-from agent.messages.types import LOST, TOPICS
-from deploy.recording.links import Link
+from handfast.agent.formation.points import Floats
+from handfast.agent.messages.types import LOST, TOPICS
+from handfast.deploy.recording.links import Link
 
 Ints = NDArray[np.int64]
 Clock = tuple[int, float]

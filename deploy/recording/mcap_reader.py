@@ -19,17 +19,17 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.types import CLASSES
-from agent.messages.types import Message as BusMessage
-from deploy.recording.collector import RunData
-from deploy.recording.mcap_records import MAGIC, Lost, Records, parsed, records_in
-from deploy.recording.message_json import reader, schema_name
-from deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
-from deploy.recording.recording import Damage, Recording
-from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import CLASSES
+from handfast.agent.messages.types import Message as BusMessage
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.mcap_records import MAGIC, Lost, Records, parsed, records_in
+from handfast.deploy.recording.message_json import reader, schema_name
+from handfast.deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
+from handfast.deploy.recording.recording import Damage, Recording
+from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
 
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _READERS: Final = {schema_name(cls): reader(cls) for cls in CLASSES}

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import orjson
 
-from agent.messages.declaration import REQUIRED, Field, declared
-from agent.messages.types import Message
+from handfast.agent.messages.declaration import REQUIRED, Field, declared
+from handfast.agent.messages.types import Message
 
 _TYPES: Final = {int: "integer", float: "number", bool: "boolean", str: "string", object: "string"}
 _writers: Final[dict[type, Callable[[Any], bytes]]] = {}

@@ -19,18 +19,18 @@ from typing import IO, Any, Final, Self
 import tomli_w
 from mcap.writer import Writer
 
-from agent.common.errors import Error
-from agent.fleet.loading import law_name, to_dict
-from agent.fleet.model import Fleet
-from agent.links.ingress import Decode
-from agent.messages.codec import decode
-from agent.messages.types import CLASSES, Message
-from agent.messages.validation import Malformed
-from agent.runtime.version import handfast_version
-from deploy.recording.foxglove.channels import Channels
-from deploy.recording.foxglove.schemas import SCHEMAS
-from deploy.recording.message_json import schema, schema_name, to_json
-from deploy.recording.run_files import FLEET_FILE, must_have_a_name
+from handfast.agent.common.errors import Error
+from handfast.agent.fleet.loading import law_name, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.ingress import Decode
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import CLASSES, Message
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.runtime.version import handfast_version
+from handfast.deploy.recording.foxglove.channels import Channels
+from handfast.deploy.recording.foxglove.schemas import SCHEMAS
+from handfast.deploy.recording.message_json import schema, schema_name, to_json
+from handfast.deploy.recording.run_files import FLEET_FILE, must_have_a_name
 
 RUN_METADATA: Final = "handfast.run"
 OUTCOME_METADATA: Final = "handfast.outcome"

@@ -13,10 +13,10 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from agent.fleet.model import Fleet
-from agent.formation.points import Floats
-from agent.messages.codec import newer
-from agent.messages.types import (
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.points import Floats
+from handfast.agent.messages.codec import newer
+from handfast.agent.messages.types import (
     Beacon,
     Event,
     Faults,
@@ -25,8 +25,8 @@ from agent.messages.types import (
     StatusText,
     Stop,
 )
-from deploy.recording.link_table import LinkTable
-from deploy.recording.tables import (
+from handfast.deploy.recording.link_table import LinkTable
+from handfast.deploy.recording.tables import (
     StatusTable,
     Table,
 )

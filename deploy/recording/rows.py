@@ -13,10 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.messages.types import DUPLICATED, HandState, LinkTrace, Message, Multiplier, Status
-from deploy.recording.columns import Store
-from deploy.recording.link_table import EXACT, Clock, LinkTable, true_ns
-from deploy.recording.tables import NEIGHBOUR, StatusTable, Table, columns
+from handfast.agent.messages.types import DUPLICATED, HandState, LinkTrace, Message, Multiplier, Status
+from handfast.deploy.recording.columns import Store
+from handfast.deploy.recording.link_table import EXACT, Clock, LinkTable, true_ns
+from handfast.deploy.recording.tables import NEIGHBOUR, StatusTable, Table, columns
 
 _INTEGER_MAX: Final = 2**62
 _PAIR: Final = Struct("2d").pack

@@ -12,10 +12,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation.points import Floats
-from agent.messages.declaration import Field, declared
-from agent.messages.types import Message, NeighbourStatus
-from deploy.recording.link_table import Ints
+from handfast.agent.formation.points import Floats
+from handfast.agent.messages.declaration import Field, declared
+from handfast.agent.messages.types import Message, NeighbourStatus
+from handfast.deploy.recording.link_table import Ints
 
 NEIGHBOUR: Final = np.dtype([(name, np.int64) for name in NeighbourStatus._fields])
 """A row of `agent.messages.types.Status.neighbours`."""

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.formation.points import Floats
-from deploy.analysis.analysis import Analysis, norm
-from deploy.analysis.stability import SETTLED
-from deploy.report.drawing.fault_strip import time_axes
-from deploy.report.drawing.labels import EndLabel, label_ends
-from deploy.report.drawing.layout import GridLayout
-from deploy.report.drawing.plotting import (
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.analysis import Analysis, norm
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.report.drawing.fault_strip import time_axes
+from handfast.deploy.report.drawing.labels import EndLabel, label_ends
+from handfast.deploy.report.drawing.layout import GridLayout
+from handfast.deploy.report.drawing.plotting import (
     DOTTED,
     GREY,
     INK,
@@ -29,7 +29,7 @@ from deploy.report.drawing.plotting import (
     nth_marked,
     nth_marker,
 )
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.verdict.run_result import RunResult
 
 NEAR: Final = 1.5
 """Robots that came within so many safe distances are drawn, with an edge or without."""

@@ -6,10 +6,10 @@ from __future__ import annotations
 from datetime import datetime
 from pathlib import Path
 
-from deploy.playback.marks import Mark, all_marks
-from deploy.recording.recording import Recording
-from deploy.report.whole_file import whole_file
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.playback.marks import Mark, all_marks
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.whole_file import whole_file
+from handfast.deploy.verdict.run_result import RunResult
 
 
 def write_events(path: Path, result: RunResult) -> None:

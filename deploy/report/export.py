@@ -17,9 +17,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.errors import packages_named
-from agent.messages.declaration import Field, declared
-from agent.messages.types import (
+from handfast.agent.common.errors import packages_named
+from handfast.agent.messages.declaration import Field, declared
+from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
     HELD,
@@ -33,14 +33,14 @@ from agent.messages.types import (
     PlantState,
     Wrench,
 )
-from deploy.analysis.analysis import Analysis
-from deploy.recording.link_table import LinkTable
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recorder import RecordingError
-from deploy.recording.tables import StatusTable, Table, columns
-from deploy.report.whole_file import whole_files
-from deploy.verdict.metrics import MESSAGES
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.recording.link_table import LinkTable
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.tables import StatusTable, Table, columns
+from handfast.deploy.report.whole_file import whole_files
+from handfast.deploy.verdict.metrics import MESSAGES
+from handfast.deploy.verdict.run_result import RunResult
 
 BAG: Final = "rosbag2"
 TABLES: Final = ("csv", "parquet", "json")
@@ -188,7 +188,7 @@ def _statuses(parts: Sequence[tuple[int, StatusTable]]) -> Columns:
 
 def _bag_writer() -> Writer:
     with packages_named(f"--format {BAG}"):
-        from deploy.report.ros.rosbag2 import write_bag
+        from handfast.deploy.report.ros.rosbag2 import write_bag
 
     def write(result: RunResult, target: Path) -> list[Path]:
         write_bag(result, target / BAG)

@@ -9,13 +9,13 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
-from deploy.console.arguments import FIGURE_FORMATS
-from deploy.recording.recorder import RecordingError
-from deploy.report import distance_figure, force_figure, link_figure, timing_figure
-from deploy.report.drawing.plotting import styled, write
-from deploy.report.drawing.side_by_side import side_by_side
-from deploy.report.trajectory_figure import trajectories
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.console.arguments import FIGURE_FORMATS
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.report import distance_figure, force_figure, link_figure, timing_figure
+from handfast.deploy.report.drawing.plotting import styled, write
+from handfast.deploy.report.drawing.side_by_side import side_by_side
+from handfast.deploy.report.trajectory_figure import trajectories
+from handfast.deploy.verdict.run_result import RunResult
 
 PICTURES: Final[Mapping[str, Callable[[RunResult], Figure]]] = {
     "trajectories": trajectories,

@@ -20,13 +20,13 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
-from agent.formation.points import Floats
-from deploy.analysis.stability import SETTLED
-from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
-from deploy.playback.series import nearest
-from deploy.recording.recorder import RecordingError
-from deploy.report.drawing.plotting import (
+from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
+from handfast.deploy.playback.series import nearest
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.report.drawing.plotting import (
     DASHED,
     GREY,
     INK,
@@ -37,9 +37,9 @@ from deploy.report.drawing.plotting import (
     styled,
     view,
 )
-from deploy.report.export import FILMS
-from deploy.report.whole_file import whole_file
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.report.export import FILMS
+from handfast.deploy.report.whole_file import whole_file
+from handfast.deploy.verdict.run_result import RunResult
 
 LONG_S: Final = 30.0
 """A drive that is longer is shown faster, so that its film takes so long, unless a speed is asked for."""

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from agent.formation.points import Floats
-from deploy.report.drawing.layout import GridLayout
-from deploy.report.drawing.plotting import LEGEND_MAX, draw_many, new_figure, note, nth_marked
-from deploy.verdict.run_result import RunResult
+from handfast.agent.formation.points import Floats
+from handfast.deploy.report.drawing.layout import GridLayout
+from handfast.deploy.report.drawing.plotting import LEGEND_MAX, draw_many, new_figure, note, nth_marked
+from handfast.deploy.verdict.run_result import RunResult
 
 Series = tuple[Floats, Floats]
 """Times (k,) s of one robot, and its values (k,)."""

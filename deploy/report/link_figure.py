@@ -10,14 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.formation.points import Floats
-from deploy.recording.recording import Recording
-from deploy.report.drawing.fault_strip import time_axes
-from deploy.report.drawing.labels import EndLabel, label_ends
-from deploy.report.drawing.layout import GridLayout
-from deploy.report.drawing.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
-from deploy.verdict.link_metrics import Ages, ages
-from deploy.verdict.run_result import RunResult
+from handfast.agent.formation.points import Floats
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.drawing.fault_strip import time_axes
+from handfast.deploy.report.drawing.labels import EndLabel, label_ends
+from handfast.deploy.report.drawing.layout import GridLayout
+from handfast.deploy.report.drawing.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
+from handfast.deploy.verdict.link_metrics import Ages, ages
+from handfast.deploy.verdict.run_result import RunResult
 
 NAME: Final = "links"
 PERIODS_OLD: Final = 2.0

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, Final
 
-from agent.supervision.state_machine import State
-from deploy.recording.recording import Recording
-from deploy.report.html import figure, shown, table
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.html import figure, shown, table
 
 ROWS_MAX: Final = 40
 """Links in the table; of more, the worst."""

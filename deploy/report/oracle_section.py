@@ -5,9 +5,9 @@ from __future__ import annotations
 from html import escape
 from typing import Any, Final
 
-from deploy.recording.recording import Recording
-from deploy.report.html import shown, table
-from deploy.verdict.oracles import ORACLES
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.html import shown, table
+from handfast.deploy.verdict.oracles import ORACLES
 
 TRANSITIONS_MAX: Final = 400
 """Changes of state that are listed; of more, the first."""

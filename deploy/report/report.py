@@ -13,24 +13,24 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.fleet.model import Fleet
-from agent.runtime.version import handfast_version
-from agent.supervision.state_machine import State
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.rounding import largest, number, percentile
-from deploy.console.wording import robots
-from deploy.faults.lanes import lanes
-from deploy.playback.page import embedded
-from deploy.playback.scene import scene
-from deploy.playback.track import Track
-from deploy.recording.recording import Recording
-from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
-from deploy.report import figures, link_figure, link_section, oracle_section
-from deploy.report.html import CSS, bullets, figure, inside, shown, table
-from deploy.report.trajectory_figure import silent_bodies
-from deploy.report.whole_file import whole_file
-from deploy.verdict import metrics
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.runtime.version import handfast_version
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.rounding import largest, number, percentile
+from handfast.deploy.console.wording import robots
+from handfast.deploy.faults.lanes import lanes
+from handfast.deploy.playback.page import embedded
+from handfast.deploy.playback.scene import scene
+from handfast.deploy.playback.track import Track
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
+from handfast.deploy.report import figures, link_figure, link_section, oracle_section
+from handfast.deploy.report.html import CSS, bullets, figure, inside, shown, table
+from handfast.deploy.report.trajectory_figure import silent_bodies
+from handfast.deploy.report.whole_file import whole_file
+from handfast.deploy.verdict import metrics
+from handfast.deploy.verdict.run_result import RunResult
 
 
 def write_report(folder: Path, result: RunResult, formats: Sequence[str] = ()) -> Path:

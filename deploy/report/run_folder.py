@@ -9,19 +9,25 @@ from typing import Final
 
 import tomli_w
 
-from agent.common.errors import Error
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet
-from agent.links.ingress import Decode
-from agent.messages.codec import decode
-from agent.messages.types import Message
-from deploy.console.interrupt import Interrupt
-from deploy.recording.collector import RunData
-from deploy.recording.recorder import Recorder, RecordingError
-from deploy.recording.run_files import EVENTS_FILE, FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
-from deploy.report.events_file import write_events
-from deploy.verdict import metrics
-from deploy.verdict.run_result import RunResult
+from handfast.agent.common.errors import Error
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.ingress import Decode
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Message
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.run_files import (
+    EVENTS_FILE,
+    FLEET_FILE,
+    LOG_FOLDER,
+    METRICS_FILE,
+    RECORDING_FILE,
+)
+from handfast.deploy.report.events_file import write_events
+from handfast.deploy.verdict import metrics
+from handfast.deploy.verdict.run_result import RunResult
 
 COMPLETING: Final = "recording and metrics.json are being completed, figures and report left out"
 COMPLETING_ALL: Final = "recording and metrics.json are being completed"
@@ -55,7 +61,7 @@ class RunFolder:
 
     Raises:
         FolderError: the folder is not empty or cannot be written.
-        deploy.recording.recorder.RecordingError: the recording cannot be opened.
+        handfast.deploy.recording.recorder.RecordingError: the recording cannot be opened.
     """
 
     def __init__(self, path: Path, fleet: Fleet, mode: str) -> None:
@@ -116,7 +122,7 @@ class RunFolder:
             formats: of the figures, besides PNG.
 
         Raises:
-            deploy.recording.recorder.RecordingError: something cannot be written.
+            handfast.deploy.recording.recorder.RecordingError: something cannot be written.
             NotDrawn: that are only figures or report.
         """
         interrupt = interrupt or Interrupt()
@@ -135,12 +141,12 @@ class RunFolder:
 
 def _load() -> None:
     """Loads what draws, where a Ctrl-C raises nothing: a module that is being loaded may swallow it."""
-    import deploy.report.report  # noqa: F401
+    import handfast.deploy.report.report  # noqa: F401
 
 
 def _draw(folder: Path, result: RunResult, formats: Sequence[str], interrupt: Interrupt, before: int) -> None:
     """Writes figures and report, or none of them after a Ctrl-C or where one cannot be written."""
-    from deploy.report.report import remove_report, write_report
+    from handfast.deploy.report.report import remove_report, write_report
 
     try:
         with interrupt.answered(LEAVING_OUT, raises=True):
@@ -170,7 +176,7 @@ def rebuild(folder: Path, formats: Sequence[str] = (), *, interrupt: Interrupt |
         RecordingError: when the folder holds no run that can be read, or cannot be written.
         FleetError, FormationError: when its fleet file is not valid.
     """
-    from deploy.recording.mcap_reader import read_run  # a run has no need of it
+    from handfast.deploy.recording.mcap_reader import read_run  # a run has no need of it
 
     result, interrupt = RunResult(read_run(folder)), interrupt or Interrupt()
     with interrupt.caught():
@@ -194,7 +200,7 @@ def write_result(
     write_events(folder / EVENTS_FILE, result)
     if report:
         # Drawing needs matplotlib, which is slow to load: a run starts without it.
-        from deploy.report.report import write_report
+        from handfast.deploy.report.report import write_report
 
         write_report(folder, result, formats)
     return result

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.formation.points import Floats
-from deploy.report.drawing.layout import GridLayout
-from deploy.report.drawing.plotting import GREY, INK, PALETTE, new_figure, note
-from deploy.verdict.run_result import RunResult
+from handfast.agent.formation.points import Floats
+from handfast.deploy.report.drawing.layout import GridLayout
+from handfast.deploy.report.drawing.plotting import GREY, INK, PALETTE, new_figure, note
+from handfast.deploy.verdict.run_result import RunResult
 
 
 class _Row(NamedTuple):

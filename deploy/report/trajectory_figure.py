@@ -13,14 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as PolygonPatch
 from numpy.typing import NDArray
 
-from agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
-from agent.formation.points import Floats
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.silent_bodies import SilentBody, bodies_of
-from deploy.recording.recording import Recording
-from deploy.report.drawing.labels import POINTS_PER_INCH, Boxes, along, beside, text_size
-from deploy.report.drawing.layout import GridLayout
-from deploy.report.drawing.plotting import (
+from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.silent_bodies import SilentBody, bodies_of
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.drawing.labels import POINTS_PER_INCH, Boxes, along, beside, text_size
+from handfast.deploy.report.drawing.layout import GridLayout
+from handfast.deploy.report.drawing.plotting import (
     DASHED,
     DOTTED,
     GREY,
@@ -36,7 +36,7 @@ from deploy.report.drawing.plotting import (
     top_of,
     view,
 )
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.verdict.run_result import RunResult
 
 HALF_CORNERS: Final = 24
 HATCH: Final = "////"

@@ -6,7 +6,7 @@ import getpass
 import os
 import socket
 
-from agent.messages.types import AUTHOR_MAX
+from handfast.agent.messages.types import AUTHOR_MAX
 
 
 def author() -> str:

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isinf
 from typing import Final, Protocol, TextIO
 
-from agent.common.time import NS_PER_S
-from agent.fleet.fault_rules import Rule
-from agent.fleet.model import Fleet
-from agent.messages.types import EVERY_AUTHOR, Faults
-from deploy.console.wording import some
-from deploy.faults.live import Held, Receiver
-from deploy.faults.wording import end_of, words
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.fault_rules import Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import EVERY_AUTHOR, Faults
+from handfast.deploy.console.wording import some
+from handfast.deploy.faults.live import Held, Receiver
+from handfast.deploy.faults.wording import end_of, words
 
 ORIGIN_AHEAD_NS: Final = 3 * NS_PER_S // 10
 """The rules are everywhere this long before they begin: all receivers begin at the same stamps."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import Faults, Message, PlantState
-from deploy.faults.live import Held, Receiver
-from deploy.session.author import author
-from deploy.session.session import INBOX, Session
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import Faults, Message, PlantState
+from handfast.deploy.faults.live import Held, Receiver
+from handfast.deploy.session.author import author
+from handfast.deploy.session.session import INBOX, Session
 
 
 class FaultsSession(Session):
@@ -22,7 +22,7 @@ class FaultsSession(Session):
         epoch_ns: the mission's, as the plants' messages tell it; None until one has.
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:

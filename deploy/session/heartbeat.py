@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Final, TextIO
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Heartbeat
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import robots
-from deploy.orders.operator import HEARTBEAT_PERIOD_NS
-from deploy.session.author import author
-from deploy.session.fault_injection import Line
-from deploy.session.live_operators import StopDoor
-from deploy.session.session import INBOX, Session, connected
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Heartbeat
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import robots
+from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS
+from handfast.deploy.session.author import author
+from handfast.deploy.session.fault_injection import Line
+from handfast.deploy.session.live_operators import StopDoor
+from handfast.deploy.session.session import INBOX, Session, connected
 
 PERIOD_S: Final = HEARTBEAT_PERIOD_NS / 1e9
 
@@ -23,7 +23,7 @@ class HeartbeatSession(Session):
     """A session that sends heartbeats.
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -74,8 +74,8 @@ def beat(fleet: Fleet, interrupt: Interrupt, stream: TextIO) -> None:
     """Sends heartbeats to a running fleet until interrupted.
 
     Raises:
-        deploy.inventory.running.NoAnswerError: nobody is there.
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.deploy.inventory.running.NoAnswerError: nobody is there.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(HeartbeatSession(fleet), interrupt) as session:
         session.beat(interrupt, stream)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Protocol
 
-from agent.transport.bus import Bus
+from handfast.agent.transport.bus import Bus
 
 
 class Watch(Protocol):

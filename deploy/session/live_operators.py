@@ -18,14 +18,14 @@ from typing import Final, Protocol
 
 import msgpack
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import BYTES_MAX, PlantState, Status, Stop
-from agent.messages.validation import Malformed
-from agent.runtime.runtime_folder import NotPrivateError, private_folder
-from deploy.orders.stop_outcome import Stopping, again_s
-from deploy.processes.placement import mark
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import BYTES_MAX, PlantState, Status, Stop
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.deploy.orders.stop_outcome import Stopping, again_s
+from handfast.deploy.processes.placement import mark
 
 WAY: Final = "over the links of a live operator"
 _PREFIX: Final = "live"

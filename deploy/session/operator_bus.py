@@ -9,18 +9,23 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.security.credentials import CredentialsError, MissingError, NotValidNowError
-from agent.security.identity import IdentityError, of_operator
-from agent.security.refusals import ANOTHER_AUTHORITY
-from agent.transport.bus import Bus, BusError
-from agent.transport.sealed_bus import bus_for
-from deploy.console.arguments import InputError
-from deploy.faults.live import receivers
-from deploy.inventory.operator_credentials import OPERATOR, earlier_folders, keys_folder, operator_name
-from deploy.inventory.operator_renewal import usable
-from deploy.session.joined_bus import JoinedBus, OperatorBus
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.credentials import CredentialsError, MissingError, NotValidNowError
+from handfast.agent.security.identity import IdentityError, of_operator
+from handfast.agent.security.refusals import ANOTHER_AUTHORITY
+from handfast.agent.transport.bus import Bus, BusError
+from handfast.agent.transport.sealed_bus import bus_for
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.faults.live import receivers
+from handfast.deploy.inventory.operator_credentials import (
+    OPERATOR,
+    earlier_folders,
+    keys_folder,
+    operator_name,
+)
+from handfast.deploy.inventory.operator_renewal import usable
+from handfast.deploy.session.joined_bus import JoinedBus, OperatorBus
 
 JOINED_RETRY_MS: Final = (500, 1000)
 """Pauses between attempts where some robots must refuse them, having another authority: each refusal costs
@@ -41,7 +46,7 @@ def operator_bus(
             more. The process has to end as `handfast` does then (`agent.transport.bus.is_opening`).
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened, or is not wanted any more.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened, or is not wanted any more.
         InputError: the fleet is secured, and this operator has no certificate that is valid.
     """
     connect = [

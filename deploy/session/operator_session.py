@@ -8,17 +8,17 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Final
 
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved
-from agent.messages import key_expressions
-from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, Resume, Status, Stop
-from deploy.analysis.silent_bodies import SilentBodies
-from deploy.console.wording import robots
-from deploy.inventory.own_orders import OwnOrders
-from deploy.orders.operator import Operator, Order
-from deploy.session.author import author
-from deploy.session.session import INBOX, Session, always
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, Resume, Status, Stop
+from handfast.deploy.analysis.silent_bodies import SilentBodies
+from handfast.deploy.console.wording import robots
+from handfast.deploy.inventory.own_orders import OwnOrders
+from handfast.deploy.orders.operator import Operator, Order
+from handfast.deploy.session.author import author
+from handfast.deploy.session.session import INBOX, Session, always
 
 ASK_S: Final = 1.0
 SEND_PERIOD_S: Final = 0.25
@@ -38,7 +38,7 @@ class OperatorSession(Session):
         heard: robots whose agents have said something.
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet, is_wanted: Callable[[], bool] = always) -> None:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.fleet.orders import OrderSection
-from agent.formation.mission_plan import Plan
-from agent.messages.types import Message, Mission
-from deploy.inventory.running import NoAnswerError
-from deploy.orders.mission_editing import must_be_known
-from deploy.orders.mission_outcome import Ordering
-from deploy.orders.operator import HEARD_NS, NO_MISSION
-from deploy.session.operator_session import OperatorSession
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.messages.types import Message, Mission
+from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.orders.mission_editing import must_be_known
+from handfast.deploy.orders.mission_outcome import Ordering
+from handfast.deploy.orders.operator import HEARD_NS, NO_MISSION
+from handfast.deploy.session.operator_session import OperatorSession
 
 TAKE_S: Final = 3.0
 """Agents that have not acknowledged a mission by then are named."""
@@ -25,7 +25,7 @@ class OrderSession(OperatorSession):
     """A session that changes the mission.
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     _answers = 0
@@ -39,7 +39,7 @@ class OrderSession(OperatorSession):
 
         Raises:
             NoAnswerError: the fleet has no mission yet; or no robot would believe this machine's clock.
-            deploy.orders.mission_editing.OrderError: the order cannot be carried out.
+            handfast.deploy.orders.mission_editing.OrderError: the order cannot be carried out.
         """
         self.ask()
         operator = self.operator

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.common.wording import printable
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.types import Message
-from deploy.inventory.running import NoAnswerError
-from deploy.orders.operator import Known, is_since
-from deploy.orders.resume_outcome import Resuming
-from deploy.session.operator_session import OperatorSession
-from deploy.session.session import ANSWER_S, INBOX, connected
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Message
+from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.orders.operator import Known, is_since
+from handfast.deploy.orders.resume_outcome import Resuming
+from handfast.deploy.session.operator_session import OperatorSession
+from handfast.deploy.session.session import ANSWER_S, INBOX, connected
 
 
 class ResumeSession(OperatorSession):
     """A session that hears whether robots drive.
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -66,8 +66,8 @@ def resume(fleet: Fleet, robots: Sequence[int], given_ns: int) -> tuple[Resuming
         given_ns: see `ResumeSession.resume`.
 
     Raises:
-        deploy.inventory.running.NoAnswerError: nobody is there.
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.deploy.inventory.running.NoAnswerError: nobody is there.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(ResumeSession(fleet)) as session:
         return session.resume(robots, given_ns), session.operator

@@ -8,25 +8,25 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.messages.codec import decode
-from agent.messages.types import Resume, Stop
-from agent.messages.validation import Malformed
-from agent.runtime.order_store import ORDERS_MAX
-from agent.security import private_files
-from agent.security.certificates import CertificateError, authority_from_pem
-from agent.security.credentials import AUTHORITY_CERTIFICATE, CredentialsError
-from agent.security.identity import IdentityError, of_operator
-from agent.security.sealed_order import Forged, Opener, Openers, Sealer
-from deploy.console.arguments import InputError
-from deploy.inventory.operator_credentials import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Resume, Stop
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.runtime.order_store import ORDERS_MAX
+from handfast.agent.security import private_files
+from handfast.agent.security.certificates import CertificateError, authority_from_pem
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE, CredentialsError
+from handfast.agent.security.identity import IdentityError, of_operator
+from handfast.agent.security.sealed_order import Forged, Opener, Openers, Sealer
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.operator_credentials import (
     earlier_folders,
     former_certificates,
     keys_folder,
     operator_name,
 )
-from deploy.inventory.operator_renewal import usable
+from handfast.deploy.inventory.operator_renewal import usable
 
 
 def sealed(fleet: Fleet, order: bytes, ahead_ns: int = 0) -> tuple[bytes, ...]:

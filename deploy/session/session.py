@@ -7,17 +7,17 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Final, TypeVar
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import Message
-from agent.messages.validation import Malformed
-from agent.runtime.clock import RealClock
-from deploy.console.interrupt import Interrupt
-from deploy.faults.live import Receiver, receivers
-from deploy.inventory.running import NoAnswerError
-from deploy.session.joined_bus import JoinedPresence, OperatorBus
-from deploy.session.operator_bus import operator_bus
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Message
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.runtime.clock import RealClock
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.faults.live import Receiver, receivers
+from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.session.joined_bus import JoinedPresence, OperatorBus
+from handfast.deploy.session.operator_bus import operator_bus
 
 CONNECT_S: Final = 3.0
 """Processes that are not there by then are named and left out."""
@@ -54,7 +54,7 @@ class Session:
         alive: those that are there.
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(

@@ -11,16 +11,16 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from typing import Final, Protocol
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Message, Mission, Stop
-from agent.transport.bus import BusError
-from deploy.console.arguments import InputError
-from deploy.inventory.own_orders import OwnOrders
-from deploy.orders.stop_outcome import AGAIN_S, Stopping, again_s
-from deploy.session.operator_bus import operator_bus
-from deploy.session.session import ANSWER_S, INBOX, Session
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Message, Mission, Stop
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.own_orders import OwnOrders
+from handfast.deploy.orders.stop_outcome import AGAIN_S, Stopping, again_s
+from handfast.deploy.session.operator_bus import operator_bus
+from handfast.deploy.session.session import ANSWER_S, INBOX, Session
 
 WAIT_S: Final = 10.0
 """What is slow is waited for so long: a way such as ssh to a host that is far away, and who brakes but has
@@ -60,8 +60,8 @@ class StopSession(Session):
         is_wanted: as of an `operator_bus`.
 
     Raises:
-        agent.transport.bus.BusError: the bus cannot be opened, or is not wanted any more.
-        deploy.console.arguments.InputError: nor can it with this operator's certificate.
+        handfast.agent.transport.bus.BusError: the bus cannot be opened, or is not wanted any more.
+        handfast.deploy.console.arguments.InputError: nor can it with this operator's certificate.
     """
 
     def __init__(self, fleet: Fleet, stopping: Stopping, is_wanted: Callable[[], bool]) -> None:
@@ -130,9 +130,10 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
         ways: by which it goes besides new links; they are closed.
 
     Raises:
-        deploy.inventory.running.NoAnswerError: nobody is there, by any way.
-        agent.transport.bus.BusError: there is no other way, and the bus cannot be opened.
-        deploy.console.arguments.InputError: nor can it with this operator's certificate, and nobody is heard
+        handfast.deploy.inventory.running.NoAnswerError: nobody is there, by any way.
+        handfast.agent.transport.bus.BusError: there is no other way, and the bus cannot be opened.
+        handfast.deploy.console.arguments.InputError: nor can it with this operator's certificate, and nobody
+        is heard
             by any other way.
     """
     begun = time.monotonic()

@@ -7,18 +7,25 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.messages.codec import decode, encode
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import Resume, Stop
-from agent.messages.validation import Malformed
-from agent.runtime.order_store import FILE_BYTES_MAX, STOP_FILE, OrderFileError, order_file, packed, unpacked
-from agent.security.private_files import KeyFileError, exists, read, write
-from agent.security.sealed_order import Forged, payload_of
-from agent.supervision.state_machine import State
-from deploy.check.load.sharing import sharing
-from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
-from deploy.session.sealing import sealed
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import Resume, Stop
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.runtime.order_store import (
+    FILE_BYTES_MAX,
+    STOP_FILE,
+    OrderFileError,
+    order_file,
+    packed,
+    unpacked,
+)
+from handfast.agent.security.private_files import KeyFileError, exists, read, write
+from handfast.agent.security.sealed_order import Forged, payload_of
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
+from handfast.deploy.session.sealing import sealed
 
 WAY: Final = "by a file on this machine"
 

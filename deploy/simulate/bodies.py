@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent.fleet import plants
-from agent.fleet.model import Fleet
-from plant.backend import Begin, VirtualBody
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.model import Fleet
+from handfast.plant.backend import Begin, VirtualBody
 
 
 class Bodies:

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
-from agent.common import plugins
-from agent.fleet.model import Fleet
-from deploy.analysis import patience
+from handfast.agent.common import plugins
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.analysis import patience
 
 _LOOK_S: Final = 1.0
 """How often it is looked whether a call goes on for too long."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
-from deploy.simulate.simulation import Simulation
-from deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
 
 
 def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:

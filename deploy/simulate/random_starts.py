@@ -7,9 +7,9 @@ from math import cos, hypot, pi, sin
 
 import numpy as np
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved
-from agent.formation.trajectory import make_trajectory
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.formation.trajectory import make_trajectory
 
 ATTEMPTS_MAX = 1000  # per robot: a square that is too full is an error, not an endless search
 

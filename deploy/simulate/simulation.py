@@ -18,27 +18,27 @@ from functools import lru_cache, partial
 from math import ceil
 from typing import Final
 
-from agent.common.time import NS_PER_MS, NS_PER_S, LocalTime
-from agent.core import Agent
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection
-from agent.formation.geometry import resolve
-from agent.links.fault_plan import FaultPlan
-from agent.links.ingress import Decode
-from agent.links.ticks import Ticks, next_tick_ns
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Event, Heartbeat, Mission, Outgoing, PlantState, Resume, Stop
-from agent.messages.validation import Malformed
-from agent.node import TOLD_SHARE, Node, inbox_size
-from agent.supervision.state_machine import State
-from deploy.drive.readiness import is_ready
-from deploy.faults.process_actions import Action, Process, actions
-from deploy.orders.mission_editing import OrderError
-from deploy.orders.operator import HEARD_NS, HEARTBEAT_PERIOD_NS, Operator, Order, refused
-from deploy.simulate import garbage, hangs
-from deploy.simulate.bodies import Bodies
-from plant.node import PlantNode
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S, LocalTime
+from handfast.agent.core import Agent
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.ingress import Decode
+from handfast.agent.links.ticks import Ticks, next_tick_ns
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Event, Heartbeat, Mission, Outgoing, PlantState, Resume, Stop
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.node import TOLD_SHARE, Node, inbox_size
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.drive.readiness import is_ready
+from handfast.deploy.faults.process_actions import Action, Process, actions
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.orders.operator import HEARD_NS, HEARTBEAT_PERIOD_NS, Operator, Order, refused
+from handfast.deploy.simulate import garbage, hangs
+from handfast.deploy.simulate.bodies import Bodies
+from handfast.plant.node import PlantNode
 
 LATENCY_NS: Final = 100_000
 LEASE_SHARE: Final = 0.9
@@ -265,7 +265,7 @@ class Simulation:
         decode: as `agent.messages.codec.decode`, but each message is read once for all that ask for it.
 
     Raises:
-        agent.fleet.model.FleetError: the formation cannot be resolved.
+        handfast.agent.fleet.model.FleetError: the formation cannot be resolved.
     """
 
     def __init__(self, fleet: Fleet, sink: Sink | None = None, begin_ns: int = 0) -> None:
@@ -450,7 +450,7 @@ class Simulation:
         """Gives an order now, whatever its time.
 
         Raises:
-            deploy.orders.mission_editing.OrderError: it cannot be carried out.
+            handfast.deploy.orders.mission_editing.OrderError: it cannot be carried out.
         """
         self._say(self._operator.give(order, self.now_ns, self._heard))
 

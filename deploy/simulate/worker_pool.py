@@ -22,8 +22,8 @@ from multiprocessing.connection import Connection, wait
 from types import ModuleType, TracebackType
 from typing import Any, Final, Generic, Protocol, TypeVar
 
-from agent.common.errors import Error
-from deploy.processes.child import ONE_THREAD
+from handfast.agent.common.errors import Error
+from handfast.deploy.processes.child import ONE_THREAD
 
 POLL_S: Final = 0.2
 """How often the pool asks whether it is to go on."""

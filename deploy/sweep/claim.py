@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from deploy.sweep.kinds_of_reasons import LETTERED, kinds_of_reasons
-from deploy.sweep.plan import Plan
-from deploy.sweep.run import CRASHED, TIMED_OUT, Row
-from deploy.sweep.summary import Share, share_json
+from handfast.deploy.sweep.kinds_of_reasons import LETTERED, kinds_of_reasons
+from handfast.deploy.sweep.plan import Plan
+from handfast.deploy.sweep.run import CRASHED, TIMED_OUT, Row
+from handfast.deploy.sweep.summary import Share, share_json
 
 CONFIDENCE: Final = 0.95
 REASONS_SHOWN: Final = 10

@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from agent.formation.points import Floats
-from deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure
-from deploy.sweep.plan import Plan
-from deploy.sweep.run import Row
-from deploy.sweep.summary import SETTLING
-from deploy.sweep.varied import Range
+from handfast.agent.formation.points import Floats
+from handfast.deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure
+from handfast.deploy.sweep.plan import Plan
+from handfast.deploy.sweep.run import Row
+from handfast.deploy.sweep.summary import SETTLING
+from handfast.deploy.sweep.varied import Range
 
 COLORS: Final = "cividis_r"
 TICKS_MAX: Final = 6

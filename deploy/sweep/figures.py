@@ -22,13 +22,13 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from agent.formation.points import Floats
-from deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure, write
-from deploy.sweep.drawn_figure import runs_at_their_draws
-from deploy.sweep.plan import Plan
-from deploy.sweep.run import Row
-from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
-from deploy.sweep.varied import Axis
+from handfast.agent.formation.points import Floats
+from handfast.deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure, write
+from handfast.deploy.sweep.drawn_figure import runs_at_their_draws
+from handfast.deploy.sweep.plan import Plan
+from handfast.deploy.sweep.run import Row
+from handfast.deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
+from handfast.deploy.sweep.varied import Axis
 
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""

@@ -21,13 +21,13 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.common.wording import printable
-from agent.runtime.version import handfast_version
-from deploy.recording.run_files import FLEET_FILE, must_have_a_name
-from deploy.sweep.plan import Plan, Question
-from deploy.sweep.run import VERDICTS, Row
-from deploy.sweep.varied import Axis, Range, SweepError, parse_over
-from deploy.verdict.metrics import columns
+from handfast.agent.common.wording import printable
+from handfast.agent.runtime.version import handfast_version
+from handfast.deploy.recording.run_files import FLEET_FILE, must_have_a_name
+from handfast.deploy.sweep.plan import Plan, Question
+from handfast.deploy.sweep.run import VERDICTS, Row
+from handfast.deploy.sweep.varied import Axis, Range, SweepError, parse_over
+from handfast.deploy.verdict.metrics import columns
 
 FORMAT: Final = 1
 SWEEP_FILE: Final = "sweep.toml"

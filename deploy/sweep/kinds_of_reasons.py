@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from deploy.console.wording import NUMBER
+from handfast.deploy.console.wording import NUMBER
 
 _MANY: Final = r"\b(?P<many>\d+) robots \([^()]*\)"
 _ROBOTS: Final = r"(?<=\brobot )\d+\b|(?<=\bRobot )\d+\b"

@@ -15,14 +15,14 @@ from math import prod, sqrt
 from re import compile as pattern
 from typing import Any, Final
 
-from agent.common import random_streams
-from agent.common.reader import Problem
-from agent.common.wording import printable, show
-from agent.fleet.loading import digest, parse_fleet, to_dict
-from agent.fleet.model import Fleet, FleetError
-from agent.formation.geometry import resolved
-from deploy.simulate.random_starts import random_fleet
-from deploy.sweep.varied import Axis, Range, SweepError, entry_of, parse_over
+from handfast.agent.common import random_streams
+from handfast.agent.common.reader import Problem
+from handfast.agent.common.wording import printable, show
+from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.simulate.random_starts import random_fleet
+from handfast.deploy.sweep.varied import Axis, Range, SweepError, entry_of, parse_over
 
 RUNS_MAX: Final = 1_000_000
 RANGES_MAX: Final = 6

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from deploy.console.wording import error_text
-from deploy.simulate import judged
-from deploy.simulate.worker_pool import Abandoned
-from deploy.sweep.plan import Plan
-from deploy.verdict import metrics
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.console.wording import error_text
+from handfast.deploy.simulate import judged
+from handfast.deploy.simulate.worker_pool import Abandoned
+from handfast.deploy.sweep.plan import Plan
+from handfast.deploy.verdict import metrics
+from handfast.deploy.verdict.run_result import RunResult
 
 PASSED: Final = "passed"
 FAILED: Final = "failed"

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from math import ceil, floor, inf, isfinite, sqrt
 from typing import Any, Final
 
-from deploy.sweep.plan import Plan
-from deploy.sweep.run import CRASHED, TIMED_OUT, Row
-from deploy.sweep.varied import Axis, SweepError
-from deploy.verdict.metrics import Column, Metric, Picture, columns
+from handfast.deploy.sweep.plan import Plan
+from handfast.deploy.sweep.run import CRASHED, TIMED_OUT, Row
+from handfast.deploy.sweep.varied import Axis, SweepError
+from handfast.deploy.verdict.metrics import Column, Metric, Picture, columns
 
 Z_95: Final = 1.959963984540054
 DEFAULT_MARGIN: Final = "faults.delay"

@@ -13,12 +13,12 @@ from math import floor, isfinite, log10
 from types import MappingProxyType, UnionType
 from typing import Final, Union, get_args, get_origin
 
-from agent.common import random_streams
-from agent.common.errors import Error
-from agent.common.quantities import UNITS, quantity
-from agent.common.settings import Entry, entries
-from agent.common.wording import describe, printable
-from agent.fleet.model import Fleet
+from handfast.agent.common import random_streams
+from handfast.agent.common.errors import Error
+from handfast.agent.common.quantities import UNITS, quantity
+from handfast.agent.common.settings import Entry, entries
+from handfast.agent.common.wording import describe, printable
+from handfast.agent.fleet.model import Fleet
 
 _BRACKETS: Final = {"[": "]", "{": "}"}
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*(?P<unit>[^\W\d_][\w/^]*|%)?")

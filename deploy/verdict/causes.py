@@ -10,13 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.control.safety_distances import avoidance_distance, speed_max
-from deploy.analysis.analysis import Analysis, norm
-from deploy.analysis.balance import rest_shapes
-from deploy.analysis.presence import Flags
-from deploy.console.wording import robots, speed_limit
-from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusTable
+from handfast.agent.control.safety_distances import avoidance_distance, speed_max
+from handfast.deploy.analysis.analysis import Analysis, norm
+from handfast.deploy.analysis.balance import rest_shapes
+from handfast.deploy.analysis.presence import Flags
+from handfast.deploy.console.wording import robots, speed_limit
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import StatusTable
 
 LOOK_S: Final = 2.0
 """Over so long before a moment it is looked what held a robot."""

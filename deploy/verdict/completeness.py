@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
-from agent.supervision.state_machine import State
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.gaps import GAP_S, is_lost
-from deploy.analysis.presence import downs
-from deploy.console.wording import robots
-from deploy.recording.recording import Recording
-from deploy.verdict.gaps import damage
-from deploy.verdict.gaps.missing_poses import MissingPoses, of_one_cause
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.gaps import GAP_S, is_lost
+from handfast.deploy.analysis.presence import downs
+from handfast.deploy.console.wording import robots
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.gaps import damage
+from handfast.deploy.verdict.gaps.missing_poses import MissingPoses, of_one_cause
 
 SILENCE_S: Final = 2.0
 """An agent says its status five times a second; one that said nothing in the last so many is lost."""

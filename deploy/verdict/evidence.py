@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, resolve
-from agent.formation.points import Floats
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.recording.recording import Recording
-from deploy.verdict import link_metrics, oracles, reasons
-from deploy.verdict.tracking import Tracking
-from deploy.verdict.violations import Violation
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry, resolve
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict import link_metrics, oracles, reasons
+from handfast.deploy.verdict.tracking import Tracking
+from handfast.deploy.verdict.violations import Violation
 
 
 class Evidence:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final, NamedTuple
 
-from deploy.analysis.presence import downs
-from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusTable
-from deploy.verdict.violations import is_constant, windows
+from handfast.deploy.analysis.presence import downs
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import StatusTable
+from handfast.deploy.verdict.violations import is_constant, windows
 
 WOKEN_S: Final = 3.0
 """What an agent skips or asks for so soon after it was made late comes of that."""

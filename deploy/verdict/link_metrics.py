@@ -8,20 +8,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.fleet.fault_rules import ACTION_FIELDS, Rule
-from agent.formation.points import Floats
-from agent.links.fault_plan import FaultPlan
-from agent.links.timed_rules import link_effects
-from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.rounding import largest, mean, number, percentile
-from deploy.console.wording import robots
-from deploy.faults.windows import LiveSet, live_sets, windows
-from deploy.faults.wording import acts_on_links, described, effects_text, gives_link_effects, when, words
-from deploy.recording.link_table import Ints, LinkTable
-from deploy.recording.links import Link, links_of
-from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusTable
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Rule
+from handfast.agent.formation.points import Floats
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.timed_rules import link_effects
+from handfast.agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.rounding import largest, mean, number, percentile
+from handfast.deploy.console.wording import robots
+from handfast.deploy.faults.windows import LiveSet, live_sets, windows
+from handfast.deploy.faults.wording import (
+    acts_on_links,
+    described,
+    effects_text,
+    gives_link_effects,
+    when,
+    words,
+)
+from handfast.deploy.recording.link_table import Ints, LinkTable
+from handfast.deploy.recording.links import Link, links_of
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import StatusTable
 
 Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]
 """By (source, destination): fleet times of the receiver's ticks (s) and the age of what it had then (ms)."""

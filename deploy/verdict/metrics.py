@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from agent.fleet.loading import law_name
-from agent.formation.points import Floats
-from deploy.analysis.analysis import Approach, norm
-from deploy.analysis.places import last_there_s
-from deploy.analysis.rounding import largest, number, percentile
-from deploy.recording.recorder import RecordingError
-from deploy.verdict import overload
-from deploy.verdict.standstills import Cause, stalls
+from handfast.agent.fleet.loading import law_name
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.analysis import Approach, norm
+from handfast.deploy.analysis.places import last_there_s
+from handfast.deploy.analysis.rounding import largest, number, percentile
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.verdict import overload
+from handfast.deploy.verdict.standstills import Cause, stalls
 
 if TYPE_CHECKING:
-    from deploy.verdict.evidence import Evidence
+    from handfast.deploy.verdict.evidence import Evidence
 
 
 @dataclass(frozen=True, slots=True)

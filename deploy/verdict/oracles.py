@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from agent.fleet.model import Fleet
-from deploy.analysis.analysis import Analysis
-from deploy.recording.recording import Recording
-from deploy.verdict import oracles_distance, oracles_drive, oracles_reaction
-from deploy.verdict.violations import Violation
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict import oracles_distance, oracles_drive, oracles_reaction
+from handfast.deploy.verdict.violations import Violation
 
 
 class Oracle(NamedTuple):

@@ -7,16 +7,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.control.boundaries import fence_of, obstacles_of
-from agent.control.safety_distances import clearance as clearance_of
-from agent.fleet.model import Fleet
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.analysis.analysis import Analysis, Approaches
-from deploy.analysis.clearances import distances
-from deploy.analysis.presence import Flags, said
-from deploy.recording.recording import Recording
-from deploy.verdict.violations import Violation, lasting
-from plant.unicycle import BRAKE_DECELERATION_MAX
+from handfast.agent.control.boundaries import fence_of, obstacles_of
+from handfast.agent.control.safety_distances import clearance as clearance_of
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
+from handfast.deploy.analysis.analysis import Analysis, Approaches
+from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.presence import Flags, said
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.violations import Violation, lasting
+from handfast.plant.unicycle import BRAKE_DECELERATION_MAX
 
 SEPARATION: Final = "separation"
 """Name of the oracle of robots and each other."""

@@ -7,25 +7,25 @@ from typing import Final
 
 import numpy as np
 
-from agent.common.quantities import DISTANCE_MIN
-from agent.control.boundaries import fence_of, obstacles_of
-from agent.control.safety_distances import avoidance_distance, barrier_rate, speed_max
-from agent.control.safety_distances import clearance as clearance_of
-from agent.fleet.fault_rules import ACTION_FIELDS, LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
-from agent.fleet.model import Fleet
-from agent.formation.points import Floats
-from agent.formation.trajectory import maximum_speed
-from agent.links.fault_plan import FaultPlan
-from agent.messages.key_expressions import ROLES
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.analysis.analysis import Analysis, norm
-from deploy.analysis.balance import caught, last_caught_s
-from deploy.analysis.clearances import distances
-from deploy.analysis.places import LAST_S, allowed_m, distances_m, together
-from deploy.analysis.presence import Flags, downs, said
-from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusTable
-from deploy.verdict.violations import Violation, is_constant, lasting, windows
+from handfast.agent.common.quantities import DISTANCE_MIN
+from handfast.agent.control.boundaries import fence_of, obstacles_of
+from handfast.agent.control.safety_distances import avoidance_distance, barrier_rate, speed_max
+from handfast.agent.control.safety_distances import clearance as clearance_of
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS, LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.points import Floats
+from handfast.agent.formation.trajectory import maximum_speed
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
+from handfast.deploy.analysis.analysis import Analysis, norm
+from handfast.deploy.analysis.balance import caught, last_caught_s
+from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.places import LAST_S, allowed_m, distances_m, together
+from handfast.deploy.analysis.presence import Flags, downs, said
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import StatusTable
+from handfast.deploy.verdict.violations import Violation, is_constant, lasting, windows
 
 SPEED_SHARE: Final = 1.1
 SPEED_MORE_MPS: Final = 0.1

@@ -8,18 +8,18 @@ from typing import Final
 
 import numpy as np
 
-from agent.control.safety_distances import acceleration_max
-from agent.fleet.fault_rules import Impairments, Rule
-from agent.fleet.model import Fleet
-from agent.formation.points import Floats
-from agent.messages.types import TOPICS
-from agent.supervision.state_machine import DRIVING_NAMES, REST_SPEED
-from agent.supervision.status import status_hz
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.presence import Down, Flags, downs
-from deploy.recording.recording import Recording, RobotData
-from deploy.verdict.violations import REACTION_S, Violation, reaction_s, windows
-from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
+from handfast.agent.control.safety_distances import acceleration_max
+from handfast.agent.fleet.fault_rules import Impairments, Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.points import Floats
+from handfast.agent.messages.types import TOPICS
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, REST_SPEED
+from handfast.agent.supervision.status import status_hz
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.presence import Down, Flags, downs
+from handfast.deploy.recording.recording import Recording, RobotData
+from handfast.deploy.verdict.violations import REACTION_S, Violation, reaction_s, windows
+from handfast.plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 
 STOP_S: Final = 0.2
 """From a stop to the last plant that brakes, on one machine."""

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from deploy.console.wording import robots
-from deploy.recording.recording import Recording, once
-from deploy.verdict.lateness import Late, Made, made_late, unexplained
-from deploy.verdict.standstills import Cause, Stall, Stand, machines, stalls, stood_alone
+from handfast.deploy.console.wording import robots
+from handfast.deploy.recording.recording import Recording, once
+from handfast.deploy.verdict.lateness import Late, Made, made_late, unexplained
+from handfast.deploy.verdict.standstills import Cause, Stall, Stand, machines, stalls, stood_alone
 
 SKIPPED_SHARE: Final = 0.05
 """So large a share of a robot's ticks is skipped where its machine, or the law of others, is named."""

@@ -7,19 +7,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.supervision.state_machine import DRIVING, PLANT_SILENT, State
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.patience import SHARE_MAX
-from deploy.analysis.stability import SETTLED
-from deploy.console.wording import NAMES_SHOWN, grouped, robots
-from deploy.recording.recording import Recording
-from deploy.verdict import link_metrics, overload, releases
-from deploy.verdict.completeness import Completeness, last_states
-from deploy.verdict.gaps import damage
-from deploy.verdict.oracles_drive import RECOVERED_S
-from deploy.verdict.overload import SKIPPED_SHARE
-from deploy.verdict.tracking import Tracking
-from deploy.verdict.violations import Violation
+from handfast.agent.supervision.state_machine import DRIVING, PLANT_SILENT, State
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.patience import SHARE_MAX
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.console.wording import NAMES_SHOWN, grouped, robots
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict import link_metrics, overload, releases
+from handfast.deploy.verdict.completeness import Completeness, last_states
+from handfast.deploy.verdict.gaps import damage
+from handfast.deploy.verdict.oracles_drive import RECOVERED_S
+from handfast.deploy.verdict.overload import SKIPPED_SHARE
+from handfast.deploy.verdict.tracking import Tracking
+from handfast.deploy.verdict.violations import Violation
 
 _GOOD_STATES: Final = frozenset(
     state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Final, NamedTuple
 
-from agent.supervision.state_machine import State
-from deploy.recording.recording import Recording
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.recording.recording import Recording
 
 NOT_ITS_OPERATORS: Final = (
     "does not follow its commands",

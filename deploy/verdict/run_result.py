@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
-from deploy.verdict import metrics
-from deploy.verdict.evidence import Evidence
+from handfast.deploy.verdict import metrics
+from handfast.deploy.verdict.evidence import Evidence
 
 
 class RunResult(Evidence):

@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.supervision.state_machine import State
-from deploy.analysis.gaps import is_lost
-from deploy.analysis.presence import downs
-from deploy.recording.recording import Recording, once
-from deploy.recording.tables import StatusTable
-from deploy.verdict.lateness import grown, made_late, stood_s
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.analysis.gaps import is_lost
+from handfast.deploy.analysis.presence import downs
+from handfast.deploy.recording.recording import Recording, once
+from handfast.deploy.recording.tables import StatusTable
+from handfast.deploy.verdict.lateness import grown, made_late, stood_s
 
 STALL_S: Final = 0.5
 """What says nothing, or does not run, for longer than this stood still."""

@@ -19,20 +19,20 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.control.safety_distances import speed_max
-from agent.fleet.fault_rules import ACTION_FIELDS
-from agent.formation.points import Floats
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.gaps import kept_through
-from deploy.analysis.places import LAST_S, allowed_m, distances_m, together
-from deploy.analysis.presence import Flags, downs, said
-from deploy.console.wording import robots
-from deploy.recording.recording import Recording
-from deploy.verdict.causes import LOOK_S, Causes, kept_from
-from deploy.verdict.completeness import last_states
-from deploy.verdict.oracles_drive import RECOVERED_S
-from deploy.verdict.violations import REACTION_S, is_constant, windows
+from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS
+from handfast.agent.formation.points import Floats
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.gaps import kept_through
+from handfast.deploy.analysis.places import LAST_S, allowed_m, distances_m, together
+from handfast.deploy.analysis.presence import Flags, downs, said
+from handfast.deploy.console.wording import robots
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.causes import LOOK_S, Causes, kept_from
+from handfast.deploy.verdict.completeness import last_states
+from handfast.deploy.verdict.oracles_drive import RECOVERED_S
+from handfast.deploy.verdict.violations import REACTION_S, is_constant, windows
 
 LONG_S: Final = 10.0
 """Who was off its place for longer than this in mid-drive fell behind."""

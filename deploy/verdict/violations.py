@@ -7,10 +7,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.fleet.fault_rules import Rule
-from agent.formation.points import Floats
-from deploy.faults.windows import Span, live_sets, spans
-from deploy.recording.recording import Recording
+from handfast.agent.fleet.fault_rules import Rule
+from handfast.agent.formation.points import Floats
+from handfast.deploy.faults.windows import Span, live_sets, spans
+from handfast.deploy.recording.recording import Recording
 
 REACTION_S: Final = 0.1
 """A process may need so long to act on what it must act on: ticks, and the way of a message."""

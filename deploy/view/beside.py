@@ -9,8 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from deploy.console.interrupt import Interrupt
-from deploy.console.program import handfast
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.program import handfast
 
 OVER: Final = b"over\n"
 """Says that the drive is over, and its recording not complete yet."""

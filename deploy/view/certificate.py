@@ -10,12 +10,12 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.security.certificates import CertificateError, new_key, new_request, pem_of_key
-from agent.security.identity import IdentityError, addresses, of_operator
-from deploy.console.arguments import InputError
-from deploy.inventory.certificate_authority import Authority, AuthorityError
-from deploy.inventory.operator_credentials import AUTHORITY_FILE, keys_folder, operator_name
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.certificates import CertificateError, new_key, new_request, pem_of_key
+from handfast.agent.security.identity import IdentityError, addresses, of_operator
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, keys_folder, operator_name
 
 OPTION: Final = "--listen"
 

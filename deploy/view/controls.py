@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-from agent.messages.types import Message
-from deploy.drive.fleet_state import FleetState
-from deploy.session.stop import Way
-from deploy.view.moves import judged, order_to_move
-from deploy.view.orders import (
+from handfast.agent.messages.types import Message
+from handfast.deploy.drive.fleet_state import FleetState
+from handfast.deploy.session.stop import Way
+from handfast.deploy.view.moves import judged, order_to_move
+from handfast.deploy.view.orders import (
     ChangeUnderWay,
     RefusedError,
     ResumeUnderWay,

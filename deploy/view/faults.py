@@ -6,17 +6,17 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import AUTHOR_MAX, EVERY_AUTHOR, Faults, Message
-from deploy.drive.fleet_state import FleetState
-from deploy.faults.live import Held, LiveSet, Receiver, receivers
-from deploy.faults.live_rules import LiveRulesError, rule_of_options, text_of
-from deploy.session.fault_injection import ECHO_S, LEASE_NS, Putting, names
-from deploy.session.joined_bus import OperatorBus
-from deploy.view.orders import RefusedError
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import AUTHOR_MAX, EVERY_AUTHOR, Faults, Message
+from handfast.deploy.drive.fleet_state import FleetState
+from handfast.deploy.faults.live import Held, LiveSet, Receiver, receivers
+from handfast.deploy.faults.live_rules import LiveRulesError, rule_of_options, text_of
+from handfast.deploy.session.fault_injection import ECHO_S, LEASE_NS, Putting, names
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.view.orders import RefusedError
 
 FIELDS: Final = frozenset({"link", "robot", "loss", "delay", "for"})
 """Of a rule that a page may give."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from deploy.playback.page import asset, served
-from deploy.view.server import Content
+from handfast.deploy.playback.page import asset, served
+from handfast.deploy.view.server import Content
 
 _KINDS: Final = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8"}
 

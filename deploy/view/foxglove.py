@@ -8,12 +8,12 @@ from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from agent.common.errors import Error, packages_named
-from agent.fleet.model import Fleet
-from agent.messages.types import Message
-from deploy.console.data_files import FOXGLOVE_LAYOUT
-from deploy.recording.foxglove.channels import Channels
-from deploy.recording.foxglove.schemas import LOG, PLOTS, SCHEMAS, TOPICS
+from handfast.agent.common.errors import Error, packages_named
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Message
+from handfast.deploy.console.data_files import FOXGLOVE_LAYOUT
+from handfast.deploy.recording.foxglove.channels import Channels
+from handfast.deploy.recording.foxglove.schemas import LOG, PLOTS, SCHEMAS, TOPICS
 
 if TYPE_CHECKING:
     from foxglove.websocket import ChannelView, Client
@@ -53,7 +53,7 @@ class FoxgloveServer:
 
     Raises:
         ServeError: it would be served to other computers, or the port is taken.
-        agent.common.errors.MissingPackageError: foxglove-sdk is not installed.
+        handfast.agent.common.errors.MissingPackageError: foxglove-sdk is not installed.
     """
 
     def __init__(self, fleet: Fleet, port: int = PORT, *, host: str = LOOPBACK) -> None:

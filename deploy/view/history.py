@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from agent.formation.points import Floats
+from handfast.agent.formation.points import Floats
 
 BYTES_MAX: Final = 16_000_000
 """Some ten minutes of 6 robots in full; what is longer is thinned."""

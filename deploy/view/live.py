@@ -9,19 +9,19 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final
 
-from agent.fleet.model import Fleet
-from deploy.playback.page import served_policy
-from deploy.session.joined_bus import OperatorBus
-from deploy.session.stop import Way
-from deploy.view.controls import Controls
-from deploy.view.faults import FaultUnderWay, HealUnderWay, LiveFaults
-from deploy.view.files import page_files
-from deploy.view.live_fleet import LiveFleet
-from deploy.view.moves import order_to_move
-from deploy.view.orders import ChangeUnderWay
-from deploy.view.pages import Pages
-from deploy.view.server import LOOPBACK, Answer, Server
-from deploy.view.start import StartUnderWay
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.playback.page import served_policy
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.session.stop import Way
+from handfast.deploy.view.controls import Controls
+from handfast.deploy.view.faults import FaultUnderWay, HealUnderWay, LiveFaults
+from handfast.deploy.view.files import page_files
+from handfast.deploy.view.live_fleet import LiveFleet
+from handfast.deploy.view.moves import order_to_move
+from handfast.deploy.view.orders import ChangeUnderWay
+from handfast.deploy.view.pages import Pages
+from handfast.deploy.view.server import LOOPBACK, Answer, Server
+from handfast.deploy.view.start import StartUnderWay
 
 TOKEN_BYTES: Final = 16
 

@@ -9,22 +9,22 @@ from collections.abc import Callable, Sequence
 from math import nan
 from typing import Any, Final
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.types import Message
-from deploy.drive.attached import Attached
-from deploy.drive.fleet_state import FleetState
-from deploy.drive.preconditions import clock, why
-from deploy.drive.watch import Picture, fleet_time_s
-from deploy.playback.looks import SILENT
-from deploy.playback.marks import FAULT, VIOLATION, Mark
-from deploy.playback.scene import ground
-from deploy.playback.track import COLUMNS
-from deploy.session.joined_bus import OperatorBus
-from deploy.session.session import valid
-from deploy.view.history import History
-from deploy.view.motion import Motion
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Message
+from handfast.deploy.drive.attached import Attached
+from handfast.deploy.drive.fleet_state import FleetState
+from handfast.deploy.drive.preconditions import clock, why
+from handfast.deploy.drive.watch import Picture, fleet_time_s
+from handfast.deploy.playback.looks import SILENT
+from handfast.deploy.playback.marks import FAULT, VIOLATION, Mark
+from handfast.deploy.playback.scene import ground
+from handfast.deploy.playback.track import COLUMNS
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.session.session import valid
+from handfast.deploy.view.history import History
+from handfast.deploy.view.motion import Motion
 
 FRAME_NS: Final = NS_PER_S // 20
 PANEL_NS: Final = NS_PER_S // 2

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from agent.common.quantities import FAR_M
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection
-from agent.formation.mission_plan import Plan
-from agent.messages.types import Mission
-from deploy.check.check import check
-from deploy.orders.mission_editing import OrderError, ordered
-from deploy.orders.operator import NO_MISSION
-from deploy.view.orders import RefusedError, order_of
+from handfast.agent.common.quantities import FAR_M
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.messages.types import Mission
+from handfast.deploy.check.check import check
+from handfast.deploy.orders.mission_editing import OrderError, ordered
+from handfast.deploy.orders.operator import NO_MISSION
+from handfast.deploy.view.orders import RefusedError, order_of
 
 SAID_MAX: Final = 3
 _OF_SHAPE: Final = ("formation", "control", "limits")

@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol
 
-from agent.common.time import NS_PER_S
-from agent.common.wording import printable
-from agent.fleet.orders import OrderSection
-from agent.fleet.scenario import ScenarioError, read_orders
-from agent.messages.types import Ask, Message, Mission, Stop
-from deploy.console.wording import FEW
-from deploy.drive.fleet_state import FleetState
-from deploy.drive.preconditions import somebodys
-from deploy.orders.mission_editing import OrderError
-from deploy.orders.mission_outcome import Ordering, words
-from deploy.orders.operator import NO_MISSION, is_since
-from deploy.orders.resume_outcome import Resuming
-from deploy.orders.stop_outcome import Stopping, again_s
-from deploy.session.operator_session import SEND_PERIOD_S
-from deploy.session.order import CONFIRM_S, TAKE_S
-from deploy.session.session import ANSWER_S
-from deploy.session.stop import WAIT_S, OtherWays, Way
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.fleet.scenario import ScenarioError, read_orders
+from handfast.agent.messages.types import Ask, Message, Mission, Stop
+from handfast.deploy.console.wording import FEW
+from handfast.deploy.drive.fleet_state import FleetState
+from handfast.deploy.drive.preconditions import somebodys
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.orders.mission_outcome import Ordering, words
+from handfast.deploy.orders.operator import NO_MISSION, is_since
+from handfast.deploy.orders.resume_outcome import Resuming
+from handfast.deploy.orders.stop_outcome import Stopping, again_s
+from handfast.deploy.session.operator_session import SEND_PERIOD_S
+from handfast.deploy.session.order import CONFIRM_S, TAKE_S
+from handfast.deploy.session.session import ANSWER_S
+from handfast.deploy.session.stop import WAIT_S, OtherWays, Way
 
 SEEN: Final = "seen_s"
 """The field of an order that says when the frame was made (s, this wall clock) which its page showed then."""

@@ -18,8 +18,8 @@ from typing import Any, Final, Protocol
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from deploy.view.live_fleet import FRAME_NS, LiveFleet
-from deploy.view.server import keep
+from handfast.deploy.view.live_fleet import FRAME_NS, LiveFleet
+from handfast.deploy.view.server import keep
 
 AHEAD: Final = 2
 """So many frames are on their way to a page at most."""

@@ -6,11 +6,11 @@ import json
 from collections.abc import Callable
 from typing import Final
 
-from deploy.playback.scene import scene
-from deploy.playback.track import Track
-from deploy.verdict.run_result import RunResult
-from deploy.view.files import page_files
-from deploy.view.server import Content
+from handfast.deploy.playback.scene import scene
+from handfast.deploy.playback.track import Track
+from handfast.deploy.verdict.run_result import RunResult
+from handfast.deploy.view.files import page_files
+from handfast.deploy.view.server import Content
 
 _PIECE: Final = "piece/"
 _ROWS: Final = "application/octet-stream"
@@ -21,7 +21,7 @@ def answers(result: RunResult) -> Callable[[str], Content | None]:
     (rows, `deploy.playback.track`).
 
     Raises:
-        agent.formation.geometry.FormationError: the run's formation cannot be resolved.
+        handfast.agent.formation.geometry.FormationError: the run's formation cannot be resolved.
     """
     track = Track(result)
     description = Content(

@@ -6,8 +6,8 @@ import subprocess
 import threading
 from typing import Final
 
-from agent.messages.types import Message
-from deploy.console.program import handfast
+from handfast.agent.messages.types import Message
+from handfast.deploy.console.program import handfast
 
 LINES_MAX: Final = 20
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.plants import KINDS
+from handfast.agent.fleet.plants import KINDS
 
 ROOT: Final = Path(__file__).parents[2]
 REGISTRY: Final = ROOT / "agent" / "fleet" / "plants.py"
@@ -33,7 +33,7 @@ def test_only_the_registry_names_a_kind_of_plant() -> None:
     files = [file for top in ("agent", "plant", "bridges", "deploy") for file in (ROOT / top).rglob("*.py")]
     found = {
         f"{file.relative_to(ROOT)}:{line}"
-        for file in [*files, ROOT / "handfast.py"]
+        for file in [*files, ROOT / "handfast" / "__init__.py"]
         if file != REGISTRY
         for line, _ in named(file.read_text(encoding="utf-8"))
     }

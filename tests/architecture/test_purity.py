@@ -45,7 +45,7 @@ FORBIDDEN = frozenset(
     }
 )
 ALLOWED = {
-    "agent.fleet.loading": {"pathlib"},  # reads the fleet file that it is given
+    "handfast.agent.fleet.loading": {"pathlib"},  # reads the fleet file that it is given
 }
 """What a module may import all the same, and why."""
 
@@ -95,8 +95,8 @@ def test_a_pure_module_imports_no_world(module: str) -> None:
 
 
 def test_whole_packages_are_pure() -> None:
-    assert len(modules_of("agent.control")) > 10
-    assert "agent.control" in modules_of("agent.control")
+    assert len(modules_of("handfast.agent.control")) > 10
+    assert "handfast.agent.control" in modules_of("handfast.agent.control")
 
 
 @pytest.mark.parametrize(

@@ -12,22 +12,22 @@ from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.plants import KINDS
-from deploy.cluster.identity import LIBRARIES, NEEDED
-from deploy.console.data_files import WORKER_REQUIREMENTS
-from deploy.console.sources import PACKAGES
+from handfast.agent.fleet.plants import KINDS
+from handfast.deploy.cluster.identity import LIBRARIES, NEEDED
+from handfast.deploy.console.data_files import WORKER_REQUIREMENTS
+from handfast.deploy.console.sources import PACKAGES
 
 ROOT: Final = Path(__file__).parents[2]
 ROOTS: Final = (
-    "deploy.cluster.on_worker",
-    "deploy.cluster.worker_process",
-    "deploy.sweep.run",
-    "plant.plugin",
+    "handfast.deploy.cluster.on_worker",
+    "handfast.deploy.cluster.worker_process",
+    "handfast.deploy.sweep.run",
+    "handfast.plant.plugin",
     *(kind.virtual.partition(":")[0] for kind in KINDS.values()),
 )
 """Modules that a worker, or the work that is sent to it, begins with; plants are named, not imported."""
 ELSEWHERE: Final = {
-    "serial": "bridges.mavlink.transport.serial_channel",  # a real vehicle's line
+    "serial": "handfast.bridges.mavlink.transport.serial_channel",  # a real vehicle's line
 }
 """What only one of these modules imports, when it does what no run in virtual time does."""
 DASK: Final = {"distributed"}

@@ -22,19 +22,19 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.core import Agent
-from agent.fleet.loading import digest
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Mission, PlantState
-from agent.node import Node
-from agent.supervision.state_machine import State
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.session import Session, SessionSettings
-from plant.backend import Command, Reading
-from plant.node import PlantNode
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Mission, PlantState
+from handfast.agent.node import Node
+from handfast.agent.supervision.state_machine import State
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.session.session import Session, SessionSettings
+from handfast.plant.backend import Command, Reading
+from handfast.plant.node import PlantNode
 from tests.autopilot.vehicles import (
     BOOT_S,
     HAND_M,

@@ -16,18 +16,18 @@ from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic, world_to_geodetic
-from bridges.mavlink.bridge.backend import MavlinkPlant, session
-from bridges.mavlink.session.session import Session, SessionSettings
-from bridges.mavlink.transport.transport import Transport, open_transport
-from plant.backend import Command, Reading
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, world_to_geodetic
+from handfast.bridges.mavlink.bridge.backend import MavlinkPlant, session
+from handfast.bridges.mavlink.session.session import Session, SessionSettings
+from handfast.bridges.mavlink.transport.transport import Transport, open_transport
+from handfast.plant.backend import Command, Reading
 from tests.ground_station import Operator
 
 VARIABLE: Final = "HANDFAST_AUTOPILOTS"

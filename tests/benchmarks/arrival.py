@@ -16,16 +16,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.time import NS_PER_S
-from agent.control.safety_distances import clearance
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, start_hand
-from agent.formation.trajectory import make_trajectory
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import PlantState
-from deploy.simulate.simulation import Simulation
-from deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.safety_distances import clearance
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, start_hand
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import PlantState
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
 from tests.benchmarks.figures import number
 
 Points = NDArray[np.float64]

@@ -18,15 +18,15 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-from agent.core import Agent
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.node import Node
-from agent.transport import bus
-from deploy.console.arguments import fleet_path
-from plant.node import PlantNode
-from plant.unicycle import from_fleet
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.node import Node
+from handfast.agent.transport import bus
+from handfast.deploy.console.arguments import fleet_path
+from handfast.plant.node import PlantNode
+from handfast.plant.unicycle import from_fleet
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
 from tests.benchmarks.processes import ROLES, Cost, Group, Traffic, measure, start_handfast
 

@@ -13,15 +13,15 @@ from typing import Final
 
 import numpy as np
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from deploy.analysis.analysis import analyse
-from deploy.analysis.balance import caught
-from deploy.console.arguments import fleet_path, fleet_text
-from deploy.simulate import judged
-from deploy.simulate.worker_pool import GoOn
-from deploy.sweep.plan import Plan, Question, make_plan
-from deploy.sweep.run import Row, Runs, execute
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.analysis.balance import caught
+from handfast.deploy.console.arguments import fleet_path, fleet_text
+from handfast.deploy.simulate import judged
+from handfast.deploy.simulate.worker_pool import GoOn
+from handfast.deploy.sweep.plan import Plan, Question, make_plan
+from handfast.deploy.sweep.run import Row, Runs, execute
 from tests.benchmarks import arrival
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.random_starts import HEADING, line

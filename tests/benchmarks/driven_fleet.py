@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import tomli_w
 
-from agent.fleet.loading import load_fleet, to_dict
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from deploy.console.arguments import fleet_path
-from deploy.processes.placement import place
+from handfast.agent.fleet.loading import load_fleet, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.processes.placement import place
 from tests.benchmarks.processes import Group, Observer, start_handfast
 
 

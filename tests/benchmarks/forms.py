@@ -59,9 +59,9 @@ def tick_in_a_run(quick: bool) -> Found:
 
 def in_virtual_time(quick: bool) -> Found:
     """The simulation's loop, and the whole command."""
-    from agent.fleet.loading import load_fleet
-    from agent.formation.geometry import resolved
-    from deploy.console.arguments import fleet_path
+    from handfast.agent.fleet.loading import load_fleet
+    from handfast.agent.formation.geometry import resolved
+    from handfast.deploy.console.arguments import fleet_path
     from tests.benchmarks import virtual_time
 
     fleet, lattice = (resolved(load_fleet(fleet_path(name))) for name in ("delta", "lattice45"))

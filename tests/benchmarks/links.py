@@ -11,17 +11,17 @@ from collections.abc import Callable
 from statistics import median
 from typing import Any, Final
 
-from agent.common.time import NS_PER_S
-from agent.core import Agent
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import LinkEmulator
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import TOPICS, HandState
-from deploy.console.arguments import fleet_path
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.link_emulator import LinkEmulator
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import TOPICS, HandState
+from handfast.deploy.console.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 
 ROBOT: Final = 2

@@ -17,20 +17,20 @@ from typing import Final, Self
 
 import tomli_w
 
-from agent.common.compiled import COMPILED
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, to_dict
-from agent.fleet.model import Fleet
-from agent.links.ticks import next_tick_ns
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Mission, PlantState, Status
-from agent.messages.validation import Malformed
-from agent.runtime.clock import RealClock
-from agent.supervision.state_machine import State
-from deploy.processes.child import ONE_THREAD
-from deploy.processes.placement import place
-from deploy.session.operator_bus import operator_bus
+from handfast.agent.common.compiled import COMPILED
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.ticks import next_tick_ns
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Mission, PlantState, Status
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.runtime.clock import RealClock
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.processes.child import ONE_THREAD
+from handfast.deploy.processes.placement import place
+from handfast.deploy.session.operator_bus import operator_bus
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ROLES: Final = ("agent", "plant")
@@ -62,7 +62,7 @@ def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
 
 def handfast(*arguments: str) -> list[str]:
     """The command line of ``handfast`` from this checkout."""
-    return [sys.executable, "-P", "-m", "deploy.cli", *arguments]
+    return [sys.executable, "-P", "-m", "handfast.deploy.cli", *arguments]
 
 
 def finish(words: Sequence[str], timeout_s: float) -> None:
@@ -305,7 +305,7 @@ Starter = Callable[[Group, Fleet, Path], None]
 def start_routers(group: Group, fleet: Fleet, fleet_file: Path) -> None:
     """The routers of a fleet that is placed; none for a mesh."""
     for number, router in enumerate(fleet.network.routers, 1):
-        command = [sys.executable, "-P", "-m", "agent.runtime.router", "--fleet", str(fleet_file)]
+        command = [sys.executable, "-P", "-m", "handfast.agent.runtime.router", "--fleet", str(fleet_file)]
         group.start(number, "router", [*command, "--number", str(number), "--exit-with-parent"], {})
         host, _, port = router.rpartition(":")
         deadline = time.monotonic() + READY_TIMEOUT_S

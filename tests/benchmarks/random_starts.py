@@ -15,10 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from agent.fleet.loading import load_fleet
-from deploy.console.arguments import fleet_path, fleet_text
-from deploy.sweep.plan import Question, make_plan
-from deploy.sweep.run import Row
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.console.arguments import fleet_path, fleet_text
+from handfast.deploy.sweep.plan import Question, make_plan
+from handfast.deploy.sweep.run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.rows import drive, share
 

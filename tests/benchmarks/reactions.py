@@ -15,10 +15,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Ask, PlantState, Status, Stop, Wrench
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Ask, PlantState, Status, Stop, Wrench
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.processes import BenchmarkError
 from tests.process.fleet_harness import Robots, robots

@@ -15,9 +15,9 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.recorder.segment_folder import segment_paths
-from agent.recorder.segments import MESSAGES, Segment
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.recorder.segment_folder import segment_paths
+from handfast.agent.recorder.segments import MESSAGES, Segment
 from tests.benchmarks.driven_fleet import driving
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
 from tests.benchmarks.processes import ROLES, Group, Observer, cpu_s, mean, pss_mb
@@ -111,7 +111,7 @@ def _result(found: _Found) -> Result:
 
 def _record(group: Group, fleet: Fleet, fleet_file: Path, recordings: Path) -> None:
     for robot in fleet.ids:
-        command = [sys.executable, "-P", "-m", "agent.recorder", "--fleet", str(fleet_file)]
+        command = [sys.executable, "-P", "-m", "handfast.agent.recorder", "--fleet", str(fleet_file)]
         command += ["--robot", str(robot), "--folder", str(recordings / str(robot)), "--exit-with-parent"]
         group.start(robot, RECORDER, command, {})
 

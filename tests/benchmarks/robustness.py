@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
-from deploy.console.arguments import fleet_path, fleet_text
-from deploy.console.data_files import SCENARIOS
-from deploy.sweep.plan import Plan, Question, make_plan
-from deploy.sweep.run import Row
+from handfast.deploy.console.arguments import fleet_path, fleet_text
+from handfast.deploy.console.data_files import SCENARIOS
+from handfast.deploy.sweep.plan import Plan, Question, make_plan
+from handfast.deploy.sweep.run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.rows import drive, share
 

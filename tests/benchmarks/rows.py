@@ -6,9 +6,9 @@ import sys
 import time
 from typing import Final, TypeVar
 
-from deploy.simulate.worker_pool import Pool, Work, cores
-from deploy.sweep.plan import Plan
-from deploy.sweep.run import Row, Runs
+from handfast.deploy.simulate.worker_pool import Pool, Work, cores
+from handfast.deploy.sweep.plan import Plan
+from handfast.deploy.sweep.run import Row, Runs
 
 TIMEOUT_S: Final = 300.0
 TELL_S: Final = 20.0

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
 from tests.benchmarks.arrival import HEADING, Runs, drive, has_orca, line, orca
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.rows import results

@@ -21,24 +21,24 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent import core
-from agent.control import law, safety_filter
-from agent.control.peers.peers import Peers
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.links import ingress
-from agent.messages.codec import decode, encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import HandState, Outgoing, PlantState
-from agent.supervision import outbox
-from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.situation import Situation
-from agent.supervision.state_machine import State
-from deploy.analysis.lattice import lattice
-from deploy.console.arguments import fleet_path
-from deploy.recording.mcap_reader import read_run
-from deploy.simulate import simulation
+from handfast.agent import core
+from handfast.agent.control import law, safety_filter
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.links import ingress
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import HandState, Outgoing, PlantState
+from handfast.agent.supervision import outbox
+from handfast.agent.supervision.neighbour_trust import NeighbourTrust
+from handfast.agent.supervision.situation import Situation
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.simulate import simulation
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.processes import finish, handfast
 

@@ -12,12 +12,12 @@ from pathlib import Path
 from statistics import median
 from typing import Final, NamedTuple
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from deploy.analysis.lattice import lattice
-from deploy.console.arguments import fleet_path
-from deploy.simulate.simulation import Simulation
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, number, spread
 from tests.benchmarks.processes import BenchmarkError, environment, handfast, pss_mb
 

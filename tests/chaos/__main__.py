@@ -17,9 +17,9 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Final
 
-from deploy.console.interrupt import Interrupt
-from deploy.simulate.worker_pool import Abandoned
-from deploy.verdict.violations import Violation
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.simulate.worker_pool import Abandoned
+from handfast.deploy.verdict.violations import Violation
 from tests.chaos.presets import PRESETS
 from tests.chaos.report import Driven, Tally, lines
 from tests.chaos.run import CRASH, Outcome, drive, drive_real

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from agent.common.random_streams import stream, uniform
+from handfast.agent.common.random_streams import stream, uniform
 
 T = TypeVar("T")
 Tables = dict[str, Any]

@@ -11,9 +11,9 @@ from itertools import permutations
 from math import dist, hypot
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
-from agent.control.peers.rolling import room_to_know
-from agent.fleet.plants import KINDS
+from handfast.agent.common.quantities import Vector
+from handfast.agent.control.peers.rolling import room_to_know
+from handfast.agent.fleet.plants import KINDS
 from tests.chaos.dice import Tables
 from tests.chaos.layout import draw_near
 from tests.chaos.scene import Scene

@@ -9,10 +9,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.common.quantities import Vector
-from agent.formation.assignment import assign_slots
-from deploy.analysis.lattice import edges as patch_edges
-from deploy.analysis.lattice import places as patch_places
+from handfast.agent.common.quantities import Vector
+from handfast.agent.formation.assignment import assign_slots
+from handfast.deploy.analysis.lattice import edges as patch_edges
+from handfast.deploy.analysis.lattice import places as patch_places
 from tests.chaos.dice import Dice, Range, Tables
 
 APART_FACTOR: Final = 2.2

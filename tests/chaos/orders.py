@@ -10,13 +10,13 @@ from collections.abc import Callable
 from math import cos, dist, hypot, pi, sin
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolve, resolved
-from agent.formation.mission_plan import Plan
-from deploy.orders.mission_editing import OrderError
-from deploy.orders.operator import Operator
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.formation.mission_plan import Plan
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.orders.operator import Operator
 from tests.chaos.dice import Dice, Tables
 from tests.chaos.layout import (
     APART_FACTOR,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from agent.supervision.state_machine import TRANSITIONS
+from handfast.agent.supervision.state_machine import TRANSITIONS
 from tests.chaos.dice import Tables
 from tests.chaos.presets import PRESETS
 from tests.chaos.run import ENDS, Outcome

@@ -9,22 +9,22 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from deploy.analysis.balance import caught
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import error_text
-from deploy.drive.display.live_view import make_view
-from deploy.drive.local import LocalRun
-from deploy.processes.placement import place
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
-from deploy.report.run_folder import RunFolder
-from deploy.simulate.judged import drive as simulate
-from deploy.simulate.worker_pool import Abandoned, GoOn
-from deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
-from deploy.verdict.run_result import RunResult
-from deploy.verdict.violations import Violation
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.analysis.balance import caught
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import error_text
+from handfast.deploy.drive.display.live_view import make_view
+from handfast.deploy.drive.local import LocalRun
+from handfast.deploy.processes.placement import place
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.run_folder import RunFolder
+from handfast.deploy.simulate.judged import drive as simulate
+from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
+from handfast.deploy.verdict.run_result import RunResult
+from handfast.deploy.verdict.violations import Violation
 
 CRASH: Final = "crash"
 """Violation: the program failed."""
@@ -71,7 +71,7 @@ def drive(text: str, go_on: GoOn = lambda: True) -> Outcome:
     """Drive a scenario in virtual time and judge it. An exception of the program is a violation.
 
     Raises:
-        agent.fleet.model.FleetError: the text is not a valid fleet file.
+        handfast.agent.fleet.model.FleetError: the text is not a valid fleet file.
         Abandoned: `go_on`, which is called a few times for each second of fleet time, returned False.
     """
     begun_s = time.perf_counter()

@@ -12,12 +12,12 @@ from itertools import count, islice
 from math import pi
 from typing import Final
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.safety import BEACON_HORIZONS, AvoidanceSection
-from agent.formation.geometry import resolved
-from agent.formation.trajectory import make_trajectory
-from deploy.check.braking import MARGIN_M
-from deploy.check.check import check
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.safety import BEACON_HORIZONS, AvoidanceSection
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.deploy.check.braking import MARGIN_M
+from handfast.deploy.check.check import check
 from tests.chaos.dice import Dice, Tables
 from tests.chaos.faults import FAULTS, draw_late
 from tests.chaos.layout import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from agent.common.quantities import Vector
+from handfast.agent.common.quantities import Vector
 from tests.chaos.dice import Dice, Tables
 from tests.chaos.layout import Shape
 from tests.chaos.presets import Preset

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any, Final
 
-from agent.fleet.model import FleetError
-from deploy.simulate.worker_pool import GoOn
+from handfast.agent.fleet.model import FleetError
+from handfast.deploy.simulate.worker_pool import GoOn
 from tests.chaos.dice import Tables
 from tests.chaos.run import CRASH, Outcome, drive
 from tests.chaos.text import scenario_text
@@ -34,7 +34,7 @@ def shrink(tables: Tables, first: Outcome, go_on: GoOn, runs_max: int = RUNS_MAX
         first: its outcome.
 
     Raises:
-        deploy.simulate.worker_pool.Abandoned: `go_on` returned False.
+        handfast.deploy.simulate.worker_pool.Abandoned: `go_on` returned False.
     """
     search = _Search(tables, first, go_on, runs_max)
     before = None

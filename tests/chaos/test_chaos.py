@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
-from agent.control import constraint_assembly
-from agent.control.boundaries import obstacles_of
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.formation.geometry import start_hands
-from deploy.console.arguments import fleet_path, fleet_text
-from deploy.simulate.worker_pool import Abandoned, GoOn
-from deploy.verdict.violations import Violation
+from handfast.agent.control import constraint_assembly
+from handfast.agent.control.boundaries import obstacles_of
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.formation.geometry import start_hands
+from handfast.deploy.console.arguments import fleet_path, fleet_text
+from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.deploy.verdict.violations import Violation
 from tests.chaos import __main__ as command
 from tests.chaos import shrink as shrinking
 from tests.chaos.dice import Dice, Tables

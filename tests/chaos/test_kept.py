@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.supervision.state_machine import TRANSITIONS
+from handfast.agent.supervision.state_machine import TRANSITIONS
 from tests.chaos.report import NOT_DRAWN
 from tests.chaos.run import drive
 

@@ -52,12 +52,12 @@ def test_what_a_node_listens_to_is_one_object_until_it_is_something_else() -> No
     """Loops compare it by identity. A tuple of a certain length is made anew in C whenever it is asked for,
     and then each tick of a plant listened anew to all."""
     source = """
-from agent.core import Agent
-from agent.fleet.loading import load_fleet
-from agent.formation.geometry import resolved
-from deploy.console.arguments import fleet_path
-from plant.node import PlantNode
-from plant.unicycle import from_fleet
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.arguments import fleet_path
+from handfast.plant.node import PlantNode
+from handfast.plant.unicycle import from_fleet
 
 fleet = resolved(load_fleet(fleet_path("pair")))
 for node in (Agent(fleet, 1), PlantNode(fleet, 1, from_fleet(fleet, 1))):
@@ -91,8 +91,8 @@ def test_all_robots_of_a_run_are_compiled(tmp_path: Path) -> None:
 def test_what_is_sent_to_a_robots_computer_of_this_kind_is_compiled(tmp_path: Path) -> None:
     """Its wheel beside our packages, as `handfast up` installs them; without the wheel they are Python."""
     made = (
-        "from pathlib import Path; from deploy.hosts.artifacts.bundle import PACKAGES, program_archive; "
-        "from deploy.hosts.artifacts.compiled_wheel import compiled_modules, wheel; "
+        "from pathlib import Path; from handfast.deploy.hosts.artifacts.bundle import PACKAGES, program_archive; "
+        "from handfast.deploy.hosts.artifacts.compiled_wheel import compiled_modules, wheel; "
         "name, data = wheel(compiled_modules(PACKAGES)); Path(name).write_bytes(data); "
         "Path('program.zip').write_bytes(program_archive())"
     )
@@ -110,9 +110,9 @@ def test_what_is_sent_to_a_robots_computer_of_this_kind_is_compiled(tmp_path: Pa
         built,
     ]
     said(PYTHON, *words)
-    form = "import sys; sys.path.insert(0, sys.argv[1]); from agent.common.compiled import FORM"
+    form = "import sys; sys.path.insert(0, sys.argv[1]); from handfast.agent.common.compiled import FORM"
     for name, wanted in (("there", "compiled"), ("pure", "pure Python")):
         with zipfile.ZipFile(tmp_path / "program.zip") as archive:
             archive.extractall(tmp_path / name)
-        shown = said(PYTHON, "-P", "-c", f"{form}; import agent.core; print(FORM)", tmp_path / name)
+        shown = said(PYTHON, "-P", "-c", f"{form}; import handfast.agent.core; print(FORM)", tmp_path / name)
         assert shown == f"{wanted}\n"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from textwrap import fill
 
-from deploy.analysis.gaps import GAP_S, PERIODS
-from deploy.verdict.gaps.missing_poses import SHARE_MAX
-from deploy.verdict.metrics import METRICS, Metric
-from deploy.verdict.oracles_drive import SPEED_MORE_MPS, SPEED_SHARE
+from handfast.deploy.analysis.gaps import GAP_S, PERIODS
+from handfast.deploy.verdict.gaps.missing_poses import SHARE_MAX
+from handfast.deploy.verdict.metrics import METRICS, Metric
+from handfast.deploy.verdict.oracles_drive import SPEED_MORE_MPS, SPEED_SHARE
 
 HEAD = """# Metrics
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.settings import entries
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.safety import AvoidanceSection, SupervisionSection
-from agent.formation.geometry import resolve, resolved
-from agent.supervision.state_machine import DOES, TRANSITIONS, State
-from deploy import cli
-from deploy.check.check import check
-from deploy.console.data_files import FLEETS
-from deploy.verdict.metrics import columns
-from deploy.verdict.oracles import ORACLES
+from handfast.agent.common.settings import entries
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.safety import AvoidanceSection, SupervisionSection
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.supervision.state_machine import DOES, TRANSITIONS, State
+from handfast.deploy import cli
+from handfast.deploy.check.check import check
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.verdict.metrics import columns
+from handfast.deploy.verdict.oracles import ORACLES
 from tests.docs import metrics_page
 
 ROOT = Path(__file__).parents[2]

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from agent.common import plugins
-from agent.fleet.loading import load_fleet
-from agent.formation.geometry import resolved
-from agent.supervision.state_machine import State
-from deploy.analysis.couplings import own_law_of
-from deploy.check.own_plant import check_own_plants
-from deploy.console.arguments import fleet_path
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common import plugins
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.analysis.couplings import own_law_of
+from handfast.deploy.check.own_plant import check_own_plants
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.simulate.simulation import Simulation
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLES = DOCS / "examples/handfast_examples"

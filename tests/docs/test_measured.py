@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.formation.geometry import resolve, resolved
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.console.arguments import fleet_path, fleet_text, scenario_path
-from deploy.simulate import judged
-from deploy.sweep.plan import Question, make_plan
-from deploy.sweep.run import execute
-from deploy.sweep.varied import parse_axis
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.console.arguments import fleet_path, fleet_text, scenario_path
+from handfast.deploy.simulate import judged
+from handfast.deploy.sweep.plan import Question, make_plan
+from handfast.deploy.sweep.run import execute
+from handfast.deploy.sweep.varied import parse_axis
 
 DOCS = Path(__file__).parents[2] / "docs"
 

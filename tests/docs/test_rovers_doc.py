@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from bridges.mavlink.session.parameters import AUDITED
-from deploy.check.check import check
-from deploy.console.data_files import FLEETS
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.bridges.mavlink.session.parameters import AUDITED
+from handfast.deploy.check.check import check
+from handfast.deploy.console.data_files import FLEETS
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "rovers.md").read_text(encoding="utf-8")

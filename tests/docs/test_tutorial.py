@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import pytest
 
-from deploy import cli
-from deploy.console.data_files import FLEETS, SCENARIOS
+from handfast.deploy import cli
+from handfast.deploy.console.data_files import FLEETS, SCENARIOS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "tutorial.md").read_text(encoding="utf-8")
 BUNDLED = {path.stem for path in FLEETS.glob("*.toml")}

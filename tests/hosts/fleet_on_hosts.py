@@ -13,8 +13,8 @@ from typing import Any, Final
 import pytest
 import tomli_w
 
-from deploy.console.data_files import FLEETS, ROBOT_REQUIREMENTS
-from deploy.hosts.artifacts.bundle import Platform, bundle_for
+from handfast.deploy.console.data_files import FLEETS, ROBOT_REQUIREMENTS
+from handfast.deploy.hosts.artifacts.bundle import Platform, bundle_for
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
 from tests.process.harness import ROOT, wait_for
@@ -63,7 +63,7 @@ class FleetOnHosts:
         self.name: str = tables["fleet"]["name"]
 
     def words(self, command: str, *arguments: str) -> list[str]:
-        return [sys.executable, "-P", "-m", "deploy.cli", command, str(self.file), *arguments]
+        return [sys.executable, "-P", "-m", "handfast.deploy.cli", command, str(self.file), *arguments]
 
     def environment(self) -> dict[str, str]:
         return {"PYTHONPATH": str(self.source), "XDG_CACHE_HOME": str(self.cache)}
@@ -84,7 +84,7 @@ class FleetOnHosts:
     def by_name(self, command: str, *arguments: str) -> str:
         """What a command prints that is given no fleet file."""
         done = self.hosts.operator.run(
-            [sys.executable, "-P", "-m", "deploy.cli", command, *arguments],
+            [sys.executable, "-P", "-m", "handfast.deploy.cli", command, *arguments],
             # The operator shares this machine's folder for temporary files: others' fleets may run here.
             env=self.environment() | {"TMPDIR": str(self.folder)},
             cwd=self.folder,
@@ -111,7 +111,11 @@ class FleetOnHosts:
     def process(self, robot: int, role: str) -> int:
         """The process of a robot, as this machine counts."""
         host = self.host_of(robot)
-        module = {"agent": "-m agent ", "plant": "-m plant ", "recorder": "-m agent.recorder "}[role]
+        module = {
+            "agent": "-m handfast.agent ",
+            "plant": "-m handfast.plant ",
+            "recorder": "-m handfast.agent.recorder ",
+        }[role]
         found = [pid for pid, words in host.pids(module).items() if f"--robot {robot} " in f"{words} "]
         assert len(found) == 1, host.pids()
         return found[0]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from agent.fleet.loading import load_fleet
+from handfast.agent.fleet.loading import load_fleet
 from tests.hosts.fleet_on_hosts import FleetOnHosts
 from tests.hosts.host import Host
 from tests.process.flooding import flooding, targets_of

@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.console.passphrase import PASSPHRASE
-from deploy.inventory.operator_credentials import KEYS, OPERATOR
+from handfast.deploy.console.passphrase import PASSPHRASE
+from handfast.deploy.inventory.operator_credentials import KEYS, OPERATOR
 from tests.hosts.fleet_on_hosts import FleetOnHosts
 from tests.hosts.hosts import Hosts
 from tests.process.harness import wait_for

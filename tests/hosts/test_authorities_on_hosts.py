@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.credentials import authority_of
-from deploy.inventory.operator_credentials import earlier_folders, short
+from handfast.agent.security.credentials import authority_of
+from handfast.deploy.inventory.operator_credentials import earlier_folders, short
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts

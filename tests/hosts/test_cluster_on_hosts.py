@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from deploy.console.data_files import FLEETS, WORKER_REQUIREMENTS
+from handfast.deploy.console.data_files import FLEETS, WORKER_REQUIREMENTS
 from tests.hosts.fleet_on_hosts import fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
@@ -23,7 +23,7 @@ from tests.process.harness import ROOT, wait_for
 pytestmark = pytest.mark.long
 
 SWEEP = ("pair", "--duration", "8s", "--over", "control.kp=0.5,1", "--repeat", "7", "--random-starts")
-WORKER = "deploy.cluster.worker_process"
+WORKER = "handfast.deploy.cluster.worker_process"
 TIMEOUT_S = 120.0
 
 
@@ -50,7 +50,7 @@ def test_hosts_that_are_lost_cost_nothing_but_time(
     tables["host"] = {host.name: {"address": host.address} for host in hosts}
     tables["host"]["elsewhere"] = {"address": "127.0.0.1", "port": 1}
     (tmp_path / "fleet.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
-    words = [sys.executable, "-P", "-m", "deploy.cli", "sweep", *SWEEP]
+    words = [sys.executable, "-P", "-m", "handfast.deploy.cli", "sweep", *SWEEP]
     environment = {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)}
 
     with open(tmp_path / "out", "w") as out, open(tmp_path / "err", "w") as err:

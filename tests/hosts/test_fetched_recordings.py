@@ -11,17 +11,17 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, parse_fleet, to_dict
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Mission, Stop
-from agent.recorder.segment_folder import segment_paths
-from agent.recorder.segments import ORDERS, about_block, message_block
-from deploy.merging.robot_recording import about_of
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Mission, Stop
+from handfast.agent.recorder.segment_folder import segment_paths
+from handfast.agent.recorder.segments import ORDERS, about_block, message_block
+from handfast.deploy.merging.robot_recording import about_of
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.hosts import Hosts
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
@@ -166,7 +166,7 @@ def test_driven_across_hosts_it_goes_where_it_goes_on_one_machine(
 ) -> None:
     there, here = tmp_path / "there", tmp_path / "here"
     fleet.handfast("drive", "--duration", "14s", "--out", str(there), "--no-report")
-    words = [sys.executable, "-P", "-m", "deploy.cli", "run", str(fleet.file), "--duration", "14s"]
+    words = [sys.executable, "-P", "-m", "handfast.deploy.cli", "run", str(fleet.file), "--duration", "14s"]
     done = subprocess.run(
         [*words, "--out", str(here), "--no-report", "--set", "network.base_port=21120"],
         env=environment() | {"PYTHONPATH": str(ROOT)},

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.certificates import DAY_S
-from deploy.recording.mcap_reader import read_run
+from handfast.agent.security.certificates import DAY_S
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, fetch_wheels
 from tests.hosts.hosts import Hosts
 from tests.hosts.operated_fleet import ANNA, Operated, drives, enroll, pair, states, stopped

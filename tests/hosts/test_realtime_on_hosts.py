@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from deploy.console.data_files import FLEETS
+from handfast.deploy.console.data_files import FLEETS
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.host import Host, Setup
 from tests.hosts.hosts import Hosts

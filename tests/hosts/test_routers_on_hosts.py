@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
@@ -25,7 +25,7 @@ CALM = {"rate_hz": 25.0}
 PATIENT = {"wrench_timeout_s": 0.5, "plant_timeout_s": 0.5}
 ROBOTS = range(1, 7)
 ROUTER = "handfast-delta-router"
-MODULE = "-m agent.runtime.router"
+MODULE = "-m handfast.agent.runtime.router"
 
 
 @pytest.fixture(scope="module")

@@ -17,13 +17,13 @@ from typing import Any, Final
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink.bridge.backend import BEGUN_LATE
-from bridges.mavlink.simulator.settings import settings_of
-from deploy.console.data_files import FLEETS
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
+from handfast.bridges.mavlink.simulator.settings import settings_of
+from handfast.deploy.console.data_files import FLEETS
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.host import Host, Setup
 from tests.hosts.hosts import Hosts
@@ -83,7 +83,7 @@ class Rovers(FleetOnHosts):
         host, settings = self.host_of(robot), settings_of(self.read, robot)
         python, at = self.python(host), settings.home
         words = [
-            *(python, "-P", "-m", "bridges.mavlink.simulator", f"--listen=serial:{PORT}:921600"),
+            *(python, "-P", "-m", "handfast.bridges.mavlink.simulator", f"--listen=serial:{PORT}:921600"),
             *("--listen=tcp:127.0.0.1:5762", "--warm", *more),
             f"--system={settings.system}",
             f"--home={at.latitude_deg:.9f},{at.longitude_deg:.9f},{at.altitude_m:.3f},90",
@@ -171,7 +171,7 @@ def test_they_drive_through_a_lost_host_and_a_killed_bridge(fleet: Rovers) -> No
     fleet.hosts[1].cut()
     time.sleep(CUT_S)
     fleet.hosts[1].restore()
-    (bridge,) = fleet.host_of(3).pids("-m bridges.mavlink ")
+    (bridge,) = fleet.host_of(3).pids("-m handfast.bridges.mavlink ")
     os.kill(bridge, signal.SIGKILL)
     told_to_go_on(fleet, 3)
     out, err = child.communicate(timeout=90.0)
@@ -221,7 +221,9 @@ def test_over_a_bad_radio_they_drive_on_after_a_pulled_cable_and_a_reboot(fleet:
     child = fleet.start("drive", "--out", "second", "--no-report", "--duration", f"{SECOND_S:g}")
     wait_for(lambda: set(states(fleet).values()) <= DRIVES, "all drive", 40.0)
     (vehicle,) = (
-        pid for pid, words in fleet.host_of(2).pids("-m bridges.mavlink.simulator").items() if "-P" in words
+        pid
+        for pid, words in fleet.host_of(2).pids("-m handfast.bridges.mavlink.simulator").items()
+        if "-P" in words
     )
     os.kill(vehicle, signal.SIGKILL)
     wait_for(lambda: states(fleet)[2] == "fault", "its bridge says so", 10.0)

@@ -12,12 +12,12 @@ from typing import Any, Final
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from deploy.console.data_files import FLEETS
-from deploy.hosts.artifacts.sandboxing import TRIED
-from deploy.hosts.remote_program import LEFT_OUT
-from deploy.processes.placement import vehicle
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.hosts.artifacts.sandboxing import TRIED
+from handfast.deploy.hosts.remote_program import LEFT_OUT
+from handfast.deploy.processes.placement import vehicle
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.host import Host, Setup
 from tests.hosts.hosts import Hosts
@@ -157,7 +157,7 @@ def test_a_bridge_drives_its_vehicle_on_a_serial_port(fleet: FleetOnHosts) -> No
     rover = FleetOnHosts(fleet.hosts, fleet.folder / "rover", raw, fleet.cache)
     words = vehicle(resolved(parse_fleet(rover.file.read_text(), source="here")), 2, 5599).arguments[1:]
     port = "--listen=serial:/run/serial:115200"
-    begin = shlex.join([python, "-P", "-m", "bridges.mavlink.simulator", port, *words])
+    begin = shlex.join([python, "-P", "-m", "handfast.bridges.mavlink.simulator", port, *words])
     host.run(f"setsid {begin} </dev/null >/run/rover.log 2>&1 &", check=True)
     device = wait_for(lambda: host.run(["readlink", "/run/serial"]).stdout.strip(), "the rover's serial port")
     host.run(["chgrp", "dialout", device], check=True)

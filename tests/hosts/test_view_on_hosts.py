@@ -18,7 +18,7 @@ from typing import Final
 import pytest
 from playwright.sync_api import Error, expect
 
-from agent.security.credentials import AUTHORITY_CERTIFICATE
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE
 from tests.hosts.computers import OPERATOR_ADDRESS
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.host import Host

@@ -20,12 +20,12 @@ import zenoh
 from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
 from cryptography.hazmat.primitives.hashes import SHA256
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import (
     BYTES_MAX,
     NO_FORCES,
     Ask,
@@ -42,10 +42,10 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.security.access_control import tls_settings
-from agent.security.credentials import Credentials, Files, load
-from agent.security.sealed_order import DOMAIN, VERSION
-from agent.transport.bus import PAYLOAD_BYTES_MAX, settings_of
+from handfast.agent.security.access_control import tls_settings
+from handfast.agent.security.credentials import Credentials, Files, load
+from handfast.agent.security.sealed_order import DOMAIN, VERSION
+from handfast.agent.transport.bus import PAYLOAD_BYTES_MAX, settings_of
 from tests.process.harness import wait_for
 from tests.process.secured_fleet import TAKEN, Keys
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from deploy.simulate.worker_pool import Pool
+from handfast.deploy.simulate.worker_pool import Pool
 
 DIES_ONCE: Final = 1
 DIES: Final = 2

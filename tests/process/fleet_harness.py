@@ -15,17 +15,17 @@ from typing import Any, Final, TypeVar
 
 import tomli_w
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, load_fleet, to_dict
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Message, Mission, PlantState, Status, Wrench
-from agent.messages.validation import Malformed
-from agent.transport.bus import Bus, Presence
-from deploy.console.data_files import FLEETS
-from deploy.processes.ports import Reservation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, load_fleet, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Message, Mission, PlantState, Status, Wrench
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.transport.bus import Bus, Presence
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, Command, environment, last_lines, wait_for
 
 BASE_PORT: Final = 21_120
@@ -153,7 +153,13 @@ class Robots:
 
     def start_router(self, number: int) -> None:
         self.run(
-            number, ROUTER, "agent.runtime.router", "--fleet", str(self.fleet_file), "--number", str(number)
+            number,
+            ROUTER,
+            "handfast.agent.runtime.router",
+            "--fleet",
+            str(self.fleet_file),
+            "--number",
+            str(number),
         )
 
     def start_all(self) -> None:

@@ -17,14 +17,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.security.credentials import load
-from agent.security.identity import Identity, parse
-from agent.security.refusals import FILTER
-from agent.transport.bus import Bus, Presence, Router, init_log
-from agent.transport.sealed_bus import SealedBus, secured
-from agent.transport.zenoh_log import ZenohLog
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.security.credentials import load
+from handfast.agent.security.identity import Identity, parse
+from handfast.agent.security.refusals import FILTER
+from handfast.agent.transport.bus import Bus, Presence, Router, init_log
+from handfast.agent.transport.sealed_bus import SealedBus, secured
+from handfast.agent.transport.zenoh_log import ZenohLog
 from tests.process.fleet_harness import make_fleet
 from tests.trusted import FLEET
 

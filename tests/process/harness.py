@@ -125,7 +125,7 @@ class Command:
         folder.mkdir(parents=True, exist_ok=True)
         self.arguments = arguments
         self.out_file, self.err_file = folder / "stdout", folder / "stderr"
-        command = [sys.executable, "-P", "-m", "deploy.cli", *arguments]
+        command = [sys.executable, "-P", "-m", "handfast.deploy.cli", *arguments]
         self.begun = time.monotonic()
         with open(self.out_file, "wb") as out, open(self.err_file, "wb") as err:
             if tty is None:

@@ -12,18 +12,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Checks, Resume
-from bridges.mavlink.transport.transport import open_transport
-from deploy.console.data_files import FLEETS
-from deploy.processes.local import VEHICLE
-from deploy.processes.placement import Vehicle, place, vehicle
-from deploy.processes.ports import Reservation
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Checks, Resume
+from handfast.bridges.mavlink.transport.transport import open_transport
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.processes.local import VEHICLE
+from handfast.deploy.processes.placement import Vehicle, place, vehicle
+from handfast.deploy.processes.ports import Reservation
 from tests.ground_station import Operator
 from tests.process.fleet_harness import Robots
 from tests.process.harness import ADDRESS, PATIENCE_S

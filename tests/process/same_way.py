@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
 from tests.process.harness import measured
 
 GRID_S: Final = 0.02

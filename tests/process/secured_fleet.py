@@ -12,16 +12,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.security.access_control import Security
-from agent.security.credentials import Files, load
-from agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
-from agent.transport.bus import Bus
-from agent.transport.sealed_bus import gate_of
-from deploy.inventory.certificate_authority import Authority
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.security.access_control import Security
+from handfast.agent.security.credentials import Files, load
+from handfast.agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
+from handfast.agent.transport.bus import Bus
+from handfast.agent.transport.sealed_bus import gate_of
+from handfast.deploy.inventory.certificate_authority import Authority
 from tests.process.fleet_harness import ROUTER, Robots, placed
 from tests.process.harness import ADDRESS
 from tests.process.small_fleets import TRIANGLE
@@ -169,7 +169,7 @@ class SecuredRobots(Robots):
     def start_router(self, number: int) -> None:
         keys = str(self.keys.of(of_router(self.name)))
         arguments = ("--fleet", str(self.fleet_file), "--number", str(number), "--keys", keys)
-        self.run(number, ROUTER, "agent.runtime.router", *arguments)
+        self.run(number, ROUTER, "handfast.agent.runtime.router", *arguments)
 
     def says(self, key: str, payload: bytes) -> None:
         """The agent that was taken over says something; without payload, that `key` lives and is gone."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import secrets
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
 
 TRIANGLE = """
 [fleet]

@@ -1,7 +1,8 @@
 """The agent of a robot that somebody has taken over: it drives as it should, and says more.
 
-Arguments: the path of a datagram socket that it makes, then those of ``python -m agent``. A datagram is a
-key, a zero byte and what to say there; nothing after it declares that the key lives, and takes that back.
+Arguments: the path of a datagram socket that it makes, then those of ``python -m handfast.agent``. A datagram
+is a key, a zero byte and what to say there; nothing after it declares that the key lives, and takes that
+back.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from typing import Any
 
 import zenoh
 
-from agent.__main__ import start
-from agent.runtime import process
-from agent.transport.bus import Bus
+from handfast.agent.__main__ import start
+from handfast.agent.runtime import process
+from handfast.agent.transport.bus import Bus
 
 
 def main() -> int:
@@ -30,7 +31,7 @@ def main() -> int:
         return bus
 
     process.open_bus = opened
-    return process.main(arguments, "python -m agent", "agent", start)
+    return process.main(arguments, "python -m handfast.agent", "agent", start)
 
 
 def speak(session: zenoh.Session, path: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.processes.ports import Reservation
+from handfast.deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, ROOT, environment, last_lines, no_trouble
 
 pytestmark = pytest.mark.long
@@ -33,7 +33,7 @@ def test_the_tests_for_autopilots_pass_against_simulated_rovers(tmp_path: Path) 
         sys.executable,
         "-P",
         "-m",
-        "bridges.mavlink.simulator",
+        "handfast.bridges.mavlink.simulator",
         f"--boot={BOOT_S}",
         "--exit-with-parent",
     ]

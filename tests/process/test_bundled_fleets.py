@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.supervision.state_machine import DRIVING_NAMES
-from deploy.console.data_files import FLEETS, bundled
-from deploy.recording.mcap_reader import read_run
+from handfast.agent.supervision.state_machine import DRIVING_NAMES
+from handfast.deploy.console.data_files import FLEETS, bundled
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.harness import BUSY, Command, no_trouble_in_logs
 
 pytestmark = pytest.mark.alone

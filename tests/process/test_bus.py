@@ -24,12 +24,12 @@ import pytest
 import tomli_w
 import zenoh
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet, to_dict
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import VERSION, decode, encode
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import VERSION, decode, encode
+from handfast.agent.messages.types import (
     Ask,
     Beacon,
     Checks,
@@ -42,8 +42,8 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.messages.validation import Malformed
-from agent.transport.bus import Bus, BusError, Router
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.transport.bus import Bus, BusError, Router
 from tests.process.fleet_harness import ROUTED, Robots, make_fleet, placed, robots
 from tests.process.harness import (
     ADDRESS,

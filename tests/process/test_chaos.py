@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.harness import BUSY, Command, no_trouble_in_logs
 
 pytestmark = [pytest.mark.long, pytest.mark.alone]

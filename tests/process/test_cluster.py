@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cluster import connection
-from deploy.cluster.connection import ClusterError
-from deploy.cluster.engine import Cluster
+from handfast.deploy.cluster import connection
+from handfast.deploy.cluster.connection import ClusterError
+from handfast.deploy.cluster.engine import Cluster
 from tests.passing_law import PassingLaw
 from tests.process.dask_processes import DaskProcesses, changed_copy
 from tests.process.harness import Command, children, no_trouble, wait_for

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cluster import engine
-from deploy.cluster.connection import CONNECT_S
-from deploy.cluster.engine import Cluster
-from deploy.simulate.worker_pool import EngineLost
+from handfast.deploy.cluster import engine
+from handfast.deploy.cluster.connection import CONNECT_S
+from handfast.deploy.cluster.engine import Cluster
+from handfast.deploy.simulate.worker_pool import EngineLost
 from tests.process import adaptive_cluster
 from tests.process.dask_processes import DaskProcesses
 from tests.process.harness import ADDRESS, Command, environment, no_trouble, wait_for

@@ -15,15 +15,15 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Stop
-from deploy.commands.running.drive import ROBOTS_FILE
-from deploy.drive.preconditions import OVER
-from deploy.inventory.known_fleets import find
-from deploy.inventory.registry import running
-from deploy.recording.mcap_reader import read_run
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Stop
+from handfast.deploy.commands.running.drive import ROBOTS_FILE
+from handfast.deploy.drive.preconditions import OVER
+from handfast.deploy.inventory.known_fleets import find
+from handfast.deploy.inventory.registry import running
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import Command, environment, last_lines, no_trouble_in_logs
 from tests.process.small_fleets import triangle
@@ -222,7 +222,7 @@ def test_robots_stop_at_a_ctrl_c_that_also_ends_who_reads(tmp_path: Path) -> Non
     with fleet_up(tmp_path) as fleet:
         reader, writer = os.pipe()
         try:
-            command = [sys.executable, "-P", "-m", "deploy.cli", "drive", str(fleet.fleet_file)]
+            command = [sys.executable, "-P", "-m", "handfast.deploy.cli", "drive", str(fleet.fleet_file)]
             process = subprocess.Popen(
                 [*command, "--duration", "60", "--out", "out", "--no-report"],
                 **dict.fromkeys(("stdout", "stderr"), writer),

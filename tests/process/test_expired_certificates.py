@@ -8,8 +8,8 @@ from typing import Final
 
 import pytest
 
-from agent.runtime.certificate_wait import WAITS
-from agent.security.identity import of_robot
+from handfast.agent.runtime.certificate_wait import WAITS
+from handfast.agent.security.identity import of_robot
 from tests.process.fleet_harness import placed
 from tests.process.harness import no_trouble_in_logs
 from tests.process.secured_fleet import AGO_S, Keys, SecuredRobots, three
@@ -28,7 +28,15 @@ def test_an_expired_one_is_looked_at_again_until_it_is_renewed(tmp_path: Path) -
         robots = stack.enter_context(SecuredRobots(fleet, tmp_path / "r", at))
         robots.start_all()
         robots.run(
-            *(LATE, "recorder", "agent.recorder", "--fleet", str(robots.fleet_file), "--robot", str(LATE)),
+            *(
+                LATE,
+                "recorder",
+                "handfast.agent.recorder",
+                "--fleet",
+                str(robots.fleet_file),
+                "--robot",
+                str(LATE),
+            ),
             *("--keys", str(at.of(of_robot(at.name, LATE))), "--folder", str(tmp_path / "recording")),
         )
         for role in ROLES:

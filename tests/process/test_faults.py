@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import LOST
-from agent.supervision.state_machine import DRIVING_NAMES
-from deploy.recording.link_table import LinkTable
-from deploy.recording.links import Link
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import LOST
+from handfast.agent.supervision.state_machine import DRIVING_NAMES
+from handfast.deploy.recording.link_table import LinkTable
+from handfast.deploy.recording.links import Link
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
 from tests.process.harness import (
     Command,
     measured,
@@ -152,7 +152,7 @@ def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
     )
     with running_pair(tmp_path / "run", 15, *LINE, *rules) as (_, run):
         run.wait_for_line(r"(?m)^1\.[5-9] s: rule 'crash' killed robot 2's agent$")
-        assert "-m plant " in run.children()[run.child(1, "plant")]
+        assert "-m handfast.plant " in run.children()[run.child(1, "plant")]
         run.wait_for_line(r"(?m)^2\.[5-9] s: rule 'crash' started robot 2's agent$")
         run.wait_for_line(r"(?m)^7\.\d s: rule 'again' started robot 1's plant$")
         assert "--pose=" in run.children()[run.child(1, "plant")]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.processes.forking import SERVER
+from handfast.deploy.processes.forking import SERVER
 from tests.process.harness import Command, children, no_trouble_in_logs, running, wait_for
 
 NETWORK = ("--set", "network.base_port=21120")

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import PlantState
-from agent.supervision.situation import NOT_SAID
-from agent.transport.bus import BusError
-from deploy.inventory.running import NoAnswerError
-from deploy.session import stop as stop_module
-from deploy.session.resume import resume
-from deploy.session.stop import Way
-from deploy.session.stop_by_file import WAY, FileWay
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import PlantState
+from handfast.agent.supervision.situation import NOT_SAID
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.session import stop as stop_module
+from handfast.deploy.session.resume import resume
+from handfast.deploy.session.stop import Way
+from handfast.deploy.session.stop_by_file import WAY, FileWay
 from tests.process.fleet_harness import Robots, all_ready, robots
 from tests.process.harness import no_trouble_in_logs
 from tests.process.small_fleets import triangle

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Ask, Beacon, Mission, Status
-from deploy.console.data_files import FLEETS
-from deploy.recording.mcap_reader import read_run
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Ask, Beacon, Mission, Status
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for
 from tests.process.small_fleets import triangle

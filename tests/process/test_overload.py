@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.messages.types import Beacon, HandState, Status
+from handfast.agent.messages.types import Beacon, HandState, Status
 from tests.process.fleet_harness import robots
 
 pytestmark = pytest.mark.long

@@ -88,7 +88,7 @@ def _examples(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 def handfast(folder: Path, arguments: str, *more: str, status: int = 0) -> str:
     """What a command says, which ends with this status."""
-    command = [sys.executable, "-m", "deploy.cli", *arguments.split(), *more]
+    command = [sys.executable, "-m", "handfast.deploy.cli", *arguments.split(), *more]
     ended = subprocess.run(
         command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=100.0
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.examples import installed
 from tests.process.harness import BUSY, no_trouble_in_logs
 from tests.process.test_own_laws import handfast, metrics, rows

@@ -13,7 +13,13 @@ from tests.process.harness import ADDRESS, environment, wait_for
 
 def test_parameters_that_are_off_are_written_for_a_ground_station(tmp_path: Path) -> None:
     said = tmp_path / "said"
-    simulator = (sys.executable, "-P", "-m", "bridges.mavlink.simulator", f"--listen=tcp:{ADDRESS}:0")
+    simulator = (
+        sys.executable,
+        "-P",
+        "-m",
+        "handfast.bridges.mavlink.simulator",
+        f"--listen=tcp:{ADDRESS}:0",
+    )
     with (
         said.open("wb") as stderr,
         subprocess.Popen([*simulator, "--warm"], env=environment(), stderr=stderr) as process,
@@ -24,7 +30,7 @@ def test_parameters_that_are_off_are_written_for_a_ground_station(tmp_path: Path
             sets = [f"--set=robot.1.mavlink.connection=tcp:{ADDRESS}:{port}"]
             sets += [f"--set=robot.{robot}.plant=unicycle" for robot in range(2, 7)]
             looked = subprocess.run(
-                [sys.executable, "-P", "-m", "deploy.cli", "preflight", "rovers", "--json", *sets],
+                [sys.executable, "-P", "-m", "handfast.deploy.cli", "preflight", "rovers", "--json", *sets],
                 env=environment(), cwd=tmp_path, capture_output=True, text=True, timeout=60.0,
             )  # fmt: skip
         finally:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.messages.key_expressions import ROLES
+from handfast.agent.messages.key_expressions import ROLES
 from tests.process.harness import Command, environment, last_lines
 from tests.realtime_here import need_realtime, without
 
@@ -58,7 +58,7 @@ def test_what_is_refused_is_said_once_and_it_drives(tmp_path: Path) -> None:
         sys.executable,
         "-P",
         "-m",
-        "deploy.cli",
+        "handfast.deploy.cli",
         "run",
     ]
     words += ["pair", "--duration", "1", "--out", str(tmp_path / "out"), *OPTIONS]

@@ -12,15 +12,15 @@ from types import TracebackType
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.validation import Malformed
-from agent.recorder.segment_folder import segment_paths
-from agent.recorder.segments import MESSAGES, Received, Segment
-from deploy.merging.merge import merge
-from deploy.report.run_folder import RunFolder, rebuild
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.recorder.segment_folder import segment_paths
+from handfast.agent.recorder.segments import MESSAGES, Received, Segment
+from handfast.deploy.merging.merge import merge
+from handfast.deploy.report.run_folder import RunFolder, rebuild
 from tests.process.fleet_harness import Heard, Robots, make_fleet, placed
 from tests.process.harness import PATIENCE_S, measured, no_trouble_in_logs, wait_for
 
@@ -61,7 +61,9 @@ class Recorded(Robots):
 
     def start_recorder(self, robot: int) -> None:
         arguments = ("--fleet", str(self.fleet_file), "--robot", str(robot))
-        self.run(robot, RECORDER, "agent.recorder", *arguments, "--folder", str(self.recording(robot)))
+        self.run(
+            robot, RECORDER, "handfast.agent.recorder", *arguments, "--folder", str(self.recording(robot))
+        )
 
     def recorded(self, robot: int) -> list[Received]:
         """All that is on the disk of a robot's computer now."""

@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot import constants
 from tests.process.harness import ADDRESS, PATIENCE_S, environment, no_trouble, running, wait_for
 
-SERVER = (sys.executable, "-P", "-m", "bridges.mavlink.simulator")
+SERVER = (sys.executable, "-P", "-m", "handfast.bridges.mavlink.simulator")
 
 
 class Simulator:
@@ -222,7 +222,7 @@ def test_it_ends_with_its_parent(tmp_path: Path) -> None:
     assert "the process that started it is gone" in (tmp_path / "stderr").read_text()
 
 
-HANDFAST = (sys.executable, "-P", "-m", "deploy.cli")
+HANDFAST = (sys.executable, "-P", "-m", "handfast.deploy.cli")
 
 
 def signing(folder: Path, port: int | str, *arguments: str) -> tuple[list[str], dict[str, str]]:
@@ -281,7 +281,7 @@ def test_giving_keys_ends_with_ctrl_c(tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_are_named_in_one_line(arguments: list[str], named: str) -> None:
-    command = [sys.executable, "-P", "-m", "deploy.cli", "rover-simulator", *arguments]
+    command = [sys.executable, "-P", "-m", "handfast.deploy.cli", "rover-simulator", *arguments]
     ended = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=30.0)
     assert ended.returncode == 2
     assert named in ended.stderr

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.types import HandState, PlantState, Status, Wrench
-from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.bridge.backend import BEGUN_LATE
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import HandState, PlantState, Status, Wrench
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
 from tests.ground_station import Operator
 from tests.process.harness import measured, no_trouble_in_logs
 from tests.process.rover_harness import Rovers, cold, rovers
@@ -226,7 +226,7 @@ def test_second_bridges_on_one_vehicle(tmp_path: Path) -> None:
             # On the bus of a fleet of its own, else it would not come as far as the vehicle.
             own = ["--set", f"network.base_port={base_port + 1024 * number}", "--set", f'fleet.name="{name}"']
             arguments = ("--fleet", str(fleet.fleet_file), "--robot", "1", *own, *settings)
-            fleet.run(1, name, "bridges.mavlink", *arguments)
+            fleet.run(1, name, "handfast.bridges.mavlink", *arguments)
         for name, (_, says) in seconds.items():
             log = fleet.log(1, name)
             fleet.wait(lambda log=log, says=says: says in log.read_text(), f"the second bridge says {says!r}")

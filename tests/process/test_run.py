@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from agent.supervision.state_machine import State
-from deploy.recording.mcap_reader import read_run
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.harness import (
     BUSY,
     Command,

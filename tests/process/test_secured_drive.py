@@ -12,13 +12,13 @@ from typing import Final
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import HandState, Heartbeat, Resume, Status, Stop
-from deploy.drive.preconditions import OVER
-from deploy.inventory.operator_credentials import KEYS
-from deploy.recording.mcap_reader import read_run
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import HandState, Heartbeat, Resume, Status, Stop
+from handfast.deploy.drive.preconditions import OVER
+from handfast.deploy.inventory.operator_credentials import KEYS
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process import attackers
 from tests.process.harness import Command, measured, no_trouble_in_logs
 from tests.process.same_way import assert_same_way

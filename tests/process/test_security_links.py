@@ -20,16 +20,16 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Resume, Stop
-from agent.security.access_control import Security, tls_settings
-from agent.security.credentials import Files, load
-from agent.security.identity import Identity, of_operator, of_robot, of_router
-from agent.security.sealed_order import Sealer
-from agent.transport.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
-from deploy.inventory.certificate_authority import Authority
-from deploy.processes.ports import Reservation
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Resume, Stop
+from handfast.agent.security.access_control import Security, tls_settings
+from handfast.agent.security.credentials import Files, load
+from handfast.agent.security.identity import Identity, of_operator, of_robot, of_router
+from handfast.agent.security.sealed_order import Sealer
+from handfast.agent.transport.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
+from handfast.deploy.inventory.certificate_authority import Authority
+from handfast.deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, environment, measured, no_trouble, wait_for
 from tests.trusted import FLEET, authority, credentials, security
 

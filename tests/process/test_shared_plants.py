@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.messages.key_expressions import ROLES
-from deploy.analysis.lattice import lattice
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.deploy.analysis.lattice import lattice
 from tests.process.harness import Command, children, last_lines, running, wait_for
 from tests.process.test_run import assert_complete
 
@@ -65,7 +65,7 @@ def test_a_stop_of_all_of_them_is_known_to_be_kept_while_the_router_stands(tmp_p
     """No link is needed: agents and bodies find it in their folder, and say there that they have it."""
     with drive(tmp_path, "--duration", "60") as command:
         command.wait_until_driving()
-        (router,) = processes_of(command, "agent.runtime.router")
+        (router,) = processes_of(command, "handfast.agent.runtime.router")
         os.kill(router, signal.SIGSTOP)
         with Command(tmp_path / "stop", "stop", str(command.process.pid)) as stop:
             assert stop.wait() == 0, stop.told()

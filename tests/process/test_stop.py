@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Ask, PlantState, Status, Stop, Wrench
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Ask, PlantState, Status, Stop, Wrench
 from tests.process.fleet_harness import Robots, all_ready, robots
 from tests.process.harness import no_trouble_in_logs
 from tests.process.small_fleets import triangle

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.types import Status, Wrench
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import Status, Wrench
 from tests.process.fleet_harness import Robots, all_ready, robots
 from tests.process.harness import measured, no_trouble_in_logs
 from tests.process.small_fleets import triangle

@@ -13,11 +13,11 @@ from typing import Any, Self
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.batch import unpacked
-from agent.messages.codec import encode
-from agent.messages.types import PlantState, Status, Stop
-from agent.transport.bus import Bus, Router
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.batch import unpacked
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import PlantState, Status, Stop
+from handfast.agent.transport.bus import Bus, Router
 from tests.process import attackers
 from tests.process.fleet_harness import ROUTED, ROUTER, Robots, all_ready, placed
 from tests.process.harness import (
@@ -48,7 +48,9 @@ def routed(folder: Path, fleet: str, *more: str) -> Command:
 
 
 def routers_of(command: Command) -> list[int]:
-    return [pid for pid, text in children(command.process.pid).items() if "agent.runtime.router" in text]
+    return [
+        pid for pid, text in children(command.process.pid).items() if "handfast.agent.runtime.router" in text
+    ]
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.chromium import opened
 from tests.process.harness import Command, wait_for
 

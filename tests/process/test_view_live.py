@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.chromium import opened
 from tests.process.fleet_harness import all_ready
 from tests.process.harness import BUSY, Command, no_trouble_in_logs, wait_for

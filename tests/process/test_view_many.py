@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from agent.supervision.state_machine import DRIVING_NAMES
-from deploy.recording.mcap_reader import read_run
+from handfast.agent.supervision.state_machine import DRIVING_NAMES
+from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.chromium import opened
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs
 from tests.process.test_view_live import NETWORK, click_on, first_order, shown, viewed

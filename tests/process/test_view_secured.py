@@ -14,9 +14,9 @@ from urllib.request import urlopen
 import pytest
 from playwright.sync_api import expect
 
-from agent.security.credentials import AUTHORITY_CERTIFICATE
-from deploy.inventory.certificate_authority import INDEX_FILE
-from deploy.inventory.operator_credentials import AUTHORITY_FILE, KEYS
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE
+from handfast.deploy.inventory.certificate_authority import INDEX_FILE
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, KEYS
 from tests.process.chromium import opened
 from tests.process.harness import Command, wait_for
 from tests.process.page_talk import talked
@@ -94,7 +94,7 @@ def test_another_address_is_refused_without_a_secured_fleet(
 ) -> None:
     import tomli_w
 
-    from agent.fleet.loading import to_dict
+    from handfast.agent.fleet.loading import to_dict
 
     file = tmp_path / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(triangle())))

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.types import PlantState, Status
-from agent.transport.bus import LEASE_MS
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import PlantState, Status
+from handfast.agent.transport.bus import LEASE_MS
 from tests.process.fleet_harness import Robots, make_fleet, placed, robots
 from tests.process.harness import measured, no_trouble_in_logs
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.console.data_files import ROOT
+from handfast.deploy.console.data_files import ROOT
 from tests.process.dying_work import DIES, DIES_ONCE, FORKS, HANGS, STARTS
 from tests.process.harness import running, wait_for
 

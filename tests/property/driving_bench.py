@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from math import cos, dist, hypot, inf, sin
 from typing import NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.control.controller import Controller
-from agent.control.hand import Pose, advance, hand
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import plan_of
-from agent.messages.types import HandState, Mission, PlantState
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.controller import Controller
+from handfast.agent.control.hand import Pose, advance, hand
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import plan_of
+from handfast.agent.messages.types import HandState, Mission, PlantState
 
 Point = tuple[float, float]
 

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from agent.control.boundaries import Circle, Polygon
-from agent.control.hand import Pose, hand
-from agent.control.safety_filter import (
+from handfast.agent.control.boundaries import Circle, Polygon
+from handfast.agent.control.hand import Pose, hand
+from handfast.agent.control.safety_filter import (
     BODY,
     SEPARATION,
     SPEED,

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from agent.control.boundaries import Circle, Polygon
-from deploy.analysis.clearances import distances
+from handfast.agent.control.boundaries import Circle, Polygon
+from handfast.deploy.analysis.clearances import distances
 
 COORDINATE = st.floats(-20.0, 20.0)
 

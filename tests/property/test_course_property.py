@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import Plan, mission_parts, plan_of, trajectory_parts
-from agent.formation.reference import WITHIN_MAX, Reference
-from agent.formation.trajectory import TrajectorySection
-from agent.messages.types import Mission
-from deploy.orders.blend_time import blend_ns_for
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import Plan, mission_parts, plan_of, trajectory_parts
+from handfast.agent.formation.reference import WITHIN_MAX, Reference
+from handfast.agent.formation.trajectory import TrajectorySection
+from handfast.agent.messages.types import Mission
+from handfast.deploy.orders.blend_time import blend_ns_for
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, first_plan, square
 
 FLEET = square("control.max_speed_mps=2.0")

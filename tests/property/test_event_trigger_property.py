@@ -8,10 +8,10 @@ from math import hypot
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.event_trigger import EventTrigger
-from agent.control.peers.forecast import Forecast
-from agent.formation.reference import Instant
-from agent.messages.types import HandState
+from handfast.agent.control.event_trigger import EventTrigger
+from handfast.agent.control.peers.forecast import Forecast
+from handfast.agent.formation.reference import Instant
+from handfast.agent.messages.types import HandState
 
 C1, C2, DECAY = 0.4, 0.6, 0.9
 S = 1_000_000_000

@@ -10,10 +10,10 @@ import tomli_w
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from agent.common.settings import Entry, entries
-from agent.fleet.loading import digest, parse_fleet, to_dict
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet, FleetError
+from handfast.agent.common.settings import Entry, entries
+from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet, FleetError
 
 
 def keys_in(model: type) -> set[str]:

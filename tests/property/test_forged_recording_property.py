@@ -18,12 +18,12 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, to_dict
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, to_dict
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import (
     CLASSES,
     TIME_NS_MAX,
     Beacon,
@@ -36,13 +36,21 @@ from agent.messages.types import (
     Status,
     Stop,
 )
-from agent.recorder.segments import KNOWN, MESSAGES, ORDERS, About, Received, about_block, message_block
-from agent.security.identity import of_operator
-from agent.security.sealed_order import Opener, Sealer
-from deploy.merging.merge import Choice, Known, Merged, merge
-from deploy.recording.link_table import LinkTable
-from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusTable, Table
+from handfast.agent.recorder.segments import (
+    KNOWN,
+    MESSAGES,
+    ORDERS,
+    About,
+    Received,
+    about_block,
+    message_block,
+)
+from handfast.agent.security.identity import of_operator
+from handfast.agent.security.sealed_order import Opener, Sealer
+from handfast.deploy.merging.merge import Choice, Known, Merged, merge
+from handfast.deploy.recording.link_table import LinkTable
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import StatusTable, Table
 from tests.declared_messages import messages_of
 from tests.trusted import authority, credentials
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle

@@ -9,13 +9,19 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agent.fleet.model import Fleet
-from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.formation.assignment import assign_slots
-from agent.formation.geometry import resolve, resolved
-from agent.formation.points import edge_lengths
-from agent.formation.realisation import DISTANCE_TOLERANCE, realise
-from deploy.analysis.rigidity import is_rigid, loose, rigidity_rank
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import (
+    ControlSection,
+    FleetSection,
+    FormationSection,
+    Robot,
+    TrajectorySection,
+)
+from handfast.agent.formation.assignment import assign_slots
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.formation.points import edge_lengths
+from handfast.agent.formation.realisation import DISTANCE_TOLERANCE, realise
+from handfast.deploy.analysis.rigidity import is_rigid, loose, rigidity_rank
 
 SEEDS = st.integers(0, 2**32 - 1)
 

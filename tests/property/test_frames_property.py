@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymap3d import enu2geodetic, geodetic2ecef
 
-from bridges.mavlink.ardupilot import frames
-from bridges.mavlink.ardupilot.dynamics import RoverDynamics
-from bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.ardupilot import frames
+from handfast.bridges.mavlink.ardupilot.dynamics import RoverDynamics
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
 
 ANGLE = st.floats(-20.0, 20.0)
 METRES = st.floats(-2000.0, 2000.0)

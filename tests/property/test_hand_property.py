@@ -7,7 +7,7 @@ from math import hypot
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.hand import Pose, advance, hand, wrench
+from handfast.agent.control.hand import Pose, advance, hand, wrench
 from tests.hand_acceleration import hand_acceleration
 
 COORDINATE = st.floats(-1e3, 1e3)

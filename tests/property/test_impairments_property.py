@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.common import random_streams
-from agent.common.quantities import UNITS, quantity, text
-from agent.impairments import delay_distributions, markov_chains
-from agent.impairments.impairments import (
+from handfast.agent.common import random_streams
+from handfast.agent.common.quantities import UNITS, quantity, text
+from handfast.agent.impairments import delay_distributions, markov_chains
+from handfast.agent.impairments.impairments import (
     Corrupt,
     Delay,
     Duplicate,

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.common.quantities import Vector
-from agent.control import law
-from agent.formation.points import Floats
-from deploy.analysis import fleet_law
+from handfast.agent.common.quantities import Vector
+from handfast.agent.control import law
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis import fleet_law
 
 RS = 0.22
 C1, C2 = 0.4, 0.6

@@ -8,14 +8,14 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import LinkEmulator
-from agent.messages.codec import decode, encode
-from agent.messages.types import HELD, LOST, TOPICS, Faults, HandState
-from agent.messages.validation import Malformed
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.link_emulator import LinkEmulator
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import HELD, LOST, TOPICS, Faults, HandState
+from handfast.agent.messages.validation import Malformed
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }, { id = 3, x_m = 3, y_m = 0 }]

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved
-from deploy.analysis.analysis import analyse
-from deploy.check.check import check
-from deploy.simulate import judged
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.check.check import check
+from handfast.deploy.simulate import judged
 
 TICKS = 160
 SHAPES: Mapping[int, tuple[list[list[float]], list[list[int]]]] = {

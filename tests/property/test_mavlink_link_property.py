@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session.session import Session, SessionSettings
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session.session import Session, SessionSettings
 
 T0 = 1_700_000_000 * NS_PER_S
 READ = (

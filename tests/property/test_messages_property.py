@@ -15,10 +15,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agent.messages import validation
-from agent.messages.codec import VERSION, decode, encode, newer
-from agent.messages.fast_path import HEAD, taker
-from agent.messages.types import (
+from handfast.agent.messages import validation
+from handfast.agent.messages.codec import VERSION, decode, encode, newer
+from handfast.agent.messages.fast_path import HEAD, taker
+from handfast.agent.messages.types import (
     BYTES_MAX,
     CLASSES,
     FLOAT_MAX,
@@ -33,7 +33,7 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.messages.validation import REASONS, Malformed, examined
+from handfast.agent.messages.validation import REASONS, Malformed, examined
 from tests.declared_messages import messages_of
 from tests.wire import opened, sealed
 

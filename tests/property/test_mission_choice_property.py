@@ -5,15 +5,15 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.core import Agent
-from agent.fleet.loading import digest
-from agent.formation.geometry import resolve
-from agent.messages.codec import encode
-from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import Left, Mission, Removed
-from deploy.orders.operator import Known
-from deploy.recording.collector import RunData
-from plant.node import PlantNode
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.types import Left, Mission, Removed
+from handfast.deploy.orders.operator import Known
+from handfast.deploy.recording.collector import RunData
+from handfast.plant.node import PlantNode
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 from tests.unit.plant.test_node import Backend
 

@@ -7,9 +7,15 @@ from math import isfinite
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import wrapped
-from bridges.mavlink.simulator.guided import Guided, NotFinite, Pose, PositionTarget, of_position_target
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import wrapped
+from handfast.bridges.mavlink.simulator.guided import (
+    Guided,
+    NotFinite,
+    Pose,
+    PositionTarget,
+    of_position_target,
+)
 from tests.unit.bridges.mavlink.rover_bench import MASK_VELOCITY
 
 FINITE = st.floats(-1e6, 1e6, width=32)

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.security import sealed_order
-from agent.security.identity import of_operator
-from agent.security.sealed_order import Forged, Opener, Sealer
+from handfast.agent.security import sealed_order
+from handfast.agent.security.identity import of_operator
+from handfast.agent.security.sealed_order import Forged, Opener, Sealer
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOADS = (b"drive", b"\x00" * 200, bytes(range(256)))

@@ -7,7 +7,15 @@ from io import BytesIO
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.recorder.segments import ABOUT, MESSAGES, About, Received, Segment, about_block, message_block
+from handfast.agent.recorder.segments import (
+    ABOUT,
+    MESSAGES,
+    About,
+    Received,
+    Segment,
+    about_block,
+    message_block,
+)
 
 BEGUN_NS = 1_763_600_000_000_000_000
 TOLD = About("delta", "0123456789abcdef", 3, "0.1.0", "boot", 7, BEGUN_NS, '[fleet]\nname = "delta"\n')

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.constraint_assembly import only_braking
-from agent.control.hand import Hand
-from agent.control.peers.beliefs import growth, said_doubt, stood_on
-from agent.control.peers.lanes import Lane
-from agent.control.right_of_way import RightOfWay
-from agent.control.safety_filter import keep_apart, limit_speed, project
+from handfast.agent.control.constraint_assembly import only_braking
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.beliefs import growth, said_doubt, stood_on
+from handfast.agent.control.peers.lanes import Lane
+from handfast.agent.control.right_of_way import RightOfWay
+from handfast.agent.control.safety_filter import keep_apart, limit_speed, project
 
 MOST, RATE, SAFE, MARGIN, SPEED_MOST, PERIOD = 5.0, 3.0, 0.22, 0.05, 1.5, 0.02
 SEEDS = st.integers(0, 2**32)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agent.fleet.sections import TrajectorySection
-from agent.formation.trajectory import (
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.trajectory import (
     corner_distances,
     duration,
     legs,

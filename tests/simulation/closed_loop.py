@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.formation.trajectory import make_trajectory
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.trajectory import make_trajectory
 
 Array = NDArray[np.float64]
 

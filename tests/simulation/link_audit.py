@@ -19,15 +19,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.common.time import NS_PER_S
-from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
-from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
-from deploy.analysis.analysis import Analysis
-from deploy.faults.wording import gives_link_effects
-from deploy.recording.link_table import LinkTable
-from deploy.recording.links import Link, links_of
-from deploy.recording.recording import LiveFaults, Recording
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
+from handfast.agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.faults.wording import gives_link_effects
+from handfast.deploy.recording.link_table import LinkTable
+from handfast.deploy.recording.links import Link, links_of
+from handfast.deploy.recording.recording import LiveFaults, Recording
 
 DIFFERENCES_MAX: Final = 20
 """Maximum number of differences that a result lists."""

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from deploy.console.data_files import FLEETS
-from deploy.recording.recording import Recording
-from deploy.simulate.judged import drive
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.simulate.judged import drive
 
 SILENT, FOLLOWERS = 1, (2, 3)
 SILENT_S, UNTIL_S, DURATION_S = 8.0, 44.0, 50.0

@@ -6,15 +6,15 @@ from math import hypot
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import Message, Mission, Status, Wrench
-from agent.supervision.state_machine import State
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Message, Mission, Status, Wrench
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.simulate.simulation import Simulation
 
 SQUARE = """
 [fleet]

@@ -13,17 +13,17 @@ from typing import Final
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import PlantState
-from deploy.console.data_files import FLEETS
-from deploy.faults.process_actions import Action
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import PlantState
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.faults.process_actions import Action
+from handfast.deploy.simulate.simulation import Simulation
 from tests.process.small_fleets import triangle
 
 pytestmark = pytest.mark.patches

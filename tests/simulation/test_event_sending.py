@@ -7,15 +7,15 @@ from collections.abc import Callable
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from deploy.console.arguments import fleet_path
-from deploy.recording.collector import RunData
-from deploy.simulate.simulation import Simulation
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.verdict.run_result import RunResult
 from tests.simulation.link_audit import audit
 
 EVENT = 'control.send="event"'

@@ -7,20 +7,20 @@ import re
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S, LocalTime
-from agent.core import Agent
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved
-from agent.links.fault_plan import FaultPlan
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import Event, Mission, PlantState, Status
-from agent.node import INBOX_SIZE
-from agent.supervision.state_machine import DRIVING, State
-from deploy.console.data_files import FLEETS
-from deploy.simulate.simulation import Simulation
-from plant.node import PlantNode
+from handfast.agent.common.time import NS_PER_S, LocalTime
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Event, Mission, PlantState, Status
+from handfast.agent.node import INBOX_SIZE
+from handfast.agent.supervision.state_machine import DRIVING, State
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace
 
 DELTA = (FLEETS / "delta.toml").read_text(encoding="utf-8")

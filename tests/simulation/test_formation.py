@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agent.common.time import NS_PER_S
-from agent.control.gains import gains_of
-from agent.core import Agent
-from agent.fleet.loading import digest, load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved, start_hands
-from agent.formation.points import edge_lengths
-from agent.formation.trajectory import make_trajectory
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Mission, Outgoing
-from agent.node import Node
-from agent.supervision.state_machine import State
-from deploy.analysis import fleet_law
-from deploy.console.data_files import FLEETS
-from deploy.simulate.random_starts import random_fleet
-from deploy.simulate.simulation import Simulation
-from plant.node import PlantNode
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.gains import gains_of
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest, load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, resolved, start_hands
+from handfast.agent.formation.points import edge_lengths
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Mission, Outgoing
+from handfast.agent.node import Node
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.analysis import fleet_law
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.random_starts import random_fleet
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace, drive, drive_until_settled
 
 STARTS = 30

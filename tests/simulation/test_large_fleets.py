@@ -7,15 +7,15 @@ from math import sqrt
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Ask, Beacon, Mission, Resume, Stop
-from deploy.analysis.lattice import lattice as driving_lattice
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Ask, Beacon, Mission, Resume, Stop
+from handfast.deploy.analysis.lattice import lattice as driving_lattice
+from handfast.deploy.simulate.simulation import Simulation
 
 SIDE = 9
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolve, resolved
-from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults
-from deploy.analysis.analysis import analyse
-from deploy.faults.windows import live_sets, spans
-from deploy.recording.recording import LiveFaults, Recording
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.faults.windows import live_sets, spans
+from handfast.deploy.recording.recording import LiveFaults, Recording
 from tests.simulation.link_audit import AuditResult
 from tests.simulation.link_audit import audit as audit_of
 from tests.unit.deploy.simulated_run import Sent, driven, recorded, trio

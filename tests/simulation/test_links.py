@@ -8,17 +8,17 @@ from math import cos, pi, sin
 import numpy as np
 import pytest
 
-from agent.fleet.fault_rules import Effect, FaultsSection
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.impairments.impairments import Delay
-from agent.impairments.loss_models import Loss
-from deploy.console.arguments import fleet_path
-from deploy.console.data_files import SCENARIOS
-from deploy.simulate import judged
-from deploy.simulate.random_starts import random_fleet
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.fault_rules import Effect, FaultsSection
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.impairments.impairments import Delay
+from handfast.agent.impairments.loss_models import Loss
+from handfast.deploy.console.arguments import fleet_path
+from handfast.deploy.console.data_files import SCENARIOS
+from handfast.deploy.simulate import judged
+from handfast.deploy.simulate.random_starts import random_fleet
+from handfast.deploy.verdict.run_result import RunResult
 from tests.benchmarks.swaps import swap
 from tests.hand_trace import Floats, drive
 

@@ -9,16 +9,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolve, resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import Beacon, HandState, Status, Stop
-from agent.supervision.state_machine import DRIVING, State
-from deploy.analysis.lattice import lattice
-from deploy.console.data_files import FLEETS
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Beacon, HandState, Status, Stop
+from handfast.agent.supervision.state_machine import DRIVING, State
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.simulation import Simulation
 from tests.hand_trace import HandTrace, Trace
 
 DELTA = (FLEETS / "delta.toml").read_text(encoding="utf-8")

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 import handfast
-from agent.common import plugins
 from handfast import Law, Moment
+from handfast.agent.common import plugins
 
 SAFE_M = 0.22
 

@@ -9,12 +9,12 @@ from math import cos, sin
 import numpy as np
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from deploy.console.data_files import FLEETS
-from deploy.simulate import judged
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate import judged
+from handfast.deploy.verdict.run_result import RunResult
 from tests.hand_trace import Floats, Trace, drive
 from tests.simulation import closed_loop
 

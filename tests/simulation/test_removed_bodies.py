@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import PlantState
-from deploy.orders.mission_editing import OrderError
-from deploy.simulate import judged
-from deploy.simulate.simulation import Simulation
-from deploy.verdict.run_result import RunResult
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import PlantState
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.simulate import judged
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.orders.order_fleets import order
 
 SAFE_M = 0.22

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.ardupilot.frames import datum_of
-from bridges.mavlink.bridge.backend import NOT_HEARD_YET
-from bridges.mavlink.session.signing import Signing, Timestamps
-from bridges.mavlink.simulator.navigation import Variances
-from plant.backend import Command
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants, frames
+from handfast.bridges.mavlink.ardupilot.frames import datum_of
+from handfast.bridges.mavlink.bridge.backend import NOT_HEARD_YET
+from handfast.bridges.mavlink.session.signing import Signing, Timestamps
+from handfast.bridges.mavlink.simulator.navigation import Variances
+from handfast.plant.backend import Command
 from tests.rover_scene import GO, MASS, START_NS, STOPS_S, Bridge, Scene, stands, take
 
 ARM = "robot_defaults.mavlink.arm=true"

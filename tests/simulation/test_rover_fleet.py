@@ -8,19 +8,19 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.core import Agent
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Checks, HandState, PlantState, Resume, Status, Stop, Wrench
-from agent.supervision.state_machine import State
-from bridges.mavlink.ardupilot import frames
-from bridges.mavlink.ardupilot.frames import datum_of
-from bridges.mavlink.bridge.authority import REBOOTED
-from bridges.mavlink.bridge.backend import BEGUN_LATE
-from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
-from bridges.mavlink.simulator.rover import Rover
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.core import Agent
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Checks, HandState, PlantState, Resume, Status, Stop, Wrench
+from handfast.agent.supervision.state_machine import State
+from handfast.bridges.mavlink.ardupilot import frames
+from handfast.bridges.mavlink.ardupilot.frames import datum_of
+from handfast.bridges.mavlink.bridge.authority import REBOOTED
+from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
+from handfast.bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
+from handfast.bridges.mavlink.simulator.rover import Rover
+from handfast.deploy.simulate.simulation import Simulation
 from tests.rover_fleet import three
 
 BRAKES_S = 0.3

@@ -7,12 +7,12 @@ from math import radians
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from deploy.console.data_files import FLEETS
-from deploy.simulate.simulation import Simulation
-from plant.unicycle import Unicycle
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.plant.unicycle import Unicycle
 from tests.rover_drive import Driven, driven
 
 ROVERS = FLEETS / "rovers.toml"

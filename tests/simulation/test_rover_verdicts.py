@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from deploy.playback.marks import VEHICLE, marks
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.playback.marks import VEHICLE, marks
+from handfast.deploy.verdict.run_result import RunResult
 from tests.rover_fleet import Drive, Hold
 
 

@@ -11,10 +11,10 @@ from math import hypot, inf, nan, pi
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.bridge.backend import BEGUN_LATE
-from plant.backend import Command
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants, frames
+from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
+from handfast.plant.backend import Command
 from tests.rover_fleet import Hold
 from tests.rover_scene import GO, STOPS_S, Scene, heartbeat, set_mode, stands, take
 

@@ -13,16 +13,16 @@ from typing import Final, cast
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control import hand
-from agent.control.peers.rolling import ROLL_ERROR, rolled, rolls_of
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from deploy.console.data_files import FLEETS
-from deploy.simulate.judged import drive as simulate
-from deploy.simulate.simulation import Simulation
-from plant.backend import VirtualBody
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import hand
+from handfast.agent.control.peers.rolling import ROLL_ERROR, rolled, rolls_of
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.judged import drive as simulate
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.plant.backend import VirtualBody
 from tests.chaos.run import drive
 from tests.rover_drive import driven
 

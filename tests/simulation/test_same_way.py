@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from deploy.api.drive import simulate
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
+from handfast.deploy.api.drive import simulate
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
 from tests.process.harness import BUSY_SETTINGS
 from tests.process.same_way import assert_same_way, late_hand_states, late_ticks, late_times, late_wrenches
 

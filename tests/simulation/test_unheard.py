@@ -13,11 +13,11 @@ from typing import Final
 
 import pytest
 
-from agent.common.quantities import Vector
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from deploy.simulate.judged import drive
-from deploy.verdict.run_result import RunResult
+from handfast.agent.common.quantities import Vector
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.simulate.judged import drive
+from handfast.deploy.verdict.run_result import RunResult
 from tests.chaos.dice import Dice, Tables
 from tests.chaos.text import scenario_text
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.formation.geometry import resolved
-from deploy.console.data_files import FLEETS
-from deploy.simulate import judged
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate import judged
+from handfast.deploy.verdict.run_result import RunResult
 
 DEAD = """
 [[faults.rule]]

@@ -7,14 +7,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.console.arguments import fleet_path, fleet_text
-from deploy.recording.recording import Recording
-from deploy.simulate import judged
-from deploy.sweep.plan import Question, make_plan
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.console.arguments import fleet_path, fleet_text
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.simulate import judged
+from handfast.deploy.sweep.plan import Question, make_plan
 from tests.benchmarks.arrival import drive
 from tests.benchmarks.crowd import ACROSS, SIDE_M, field
 from tests.benchmarks.swaps import swap

@@ -6,11 +6,11 @@ from math import cos, pi, sin
 
 import pytest
 
-from agent.common.quantities import Vector
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from deploy.simulate.judged import drive
-from deploy.verdict.run_result import RunResult
+from handfast.agent.common.quantities import Vector
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.simulate.judged import drive
+from handfast.deploy.verdict.run_result import RunResult
 from tests.chaos.text import scenario_text
 
 RING = [(1.5 * cos(k * pi / 3.0), 1.5 * sin(k * pi / 3.0)) for k in range(6)]

@@ -58,7 +58,7 @@ def test_importing_it_imports_next_to_nothing() -> None:
         "import sys; before = set(sys.modules); import handfast; print(*set(sys.modules) - before)"
     )
     ours = {name for name in loaded.split() if name.startswith((*PACKAGES, "numpy", "matplotlib"))}
-    assert ours == {"agent", "agent.common", "agent.common.errors"}
+    assert ours == {"agent", "handfast.agent.common", "handfast.agent.common.errors"}
 
 
 def test_on_a_robot_there_is_what_laws_and_plants_need(tmp_path: Path) -> None:

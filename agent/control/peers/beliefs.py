@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from math import ceil, hypot, inf
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
+from handfast.agent.common.quantities import Vector
 
 DOUBT_RATE: Final = 0.15
 """How fast the position uncertainty of a robot grows that is not heard, m/s: about what another acceleration

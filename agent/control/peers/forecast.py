@@ -11,13 +11,13 @@ from itertools import islice
 from math import ceil, exp, hypot, inf
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.control.hand import Hand
-from agent.control.peers.beliefs import Belief, own_doubt, rolled_on, stood_on
-from agent.control.peers.lanes import Lane
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.prediction import (
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.beliefs import Belief, own_doubt, rolled_on, stood_on
+from handfast.agent.control.peers.lanes import Lane
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.prediction import (
     Prediction,
     Transition,
     coasting,
@@ -26,7 +26,7 @@ from agent.control.peers.prediction import (
     transition,
     unforced,
 )
-from agent.control.peers.rolling import (
+from handfast.agent.control.peers.rolling import (
     ROLL_ERROR,
     Rolls,
     arc_of,
@@ -35,9 +35,9 @@ from agent.control.peers.rolling import (
     moves,
     rolled,
 )
-from agent.formation.reference import Instant, Reference
-from agent.formation.trajectory import Sample
-from agent.messages.types import HandState
+from handfast.agent.formation.reference import Instant, Reference
+from handfast.agent.formation.trajectory import Sample
+from handfast.agent.messages.types import HandState
 
 DRIVEN_MAX: Final = 1.0
 """m: so far from its last word, and no further than it drives in a second, is a robot looked for that

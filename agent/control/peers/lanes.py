@@ -14,7 +14,7 @@ from itertools import pairwise
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN, Vector
+from handfast.agent.common.quantities import DISTANCE_MIN, Vector
 
 RUN: Final = 6
 """Pieces in one run."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 from math import log, log2
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 UNSURE_NS: Final = NS_PER_S // 4
 """A robot that is late by so much may have stopped: it is looked for where it may stand."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.control.dodging import STEP_S
-from agent.control.hand import Hand
-from agent.control.peers.forecast import Forecast
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import NEVER, Peer
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.dodging import STEP_S
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.forecast import Forecast
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peer import NEVER, Peer
 
 
 class LostVehicles:

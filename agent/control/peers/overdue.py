@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from heapq import heappop, heappush
 from typing import Final
 
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import SINCE_EVER, Peer
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peer import SINCE_EVER, Peer
 
 
 class Overdue:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief, own_doubt
-from agent.control.peers.clock_offset import ClockOffset
-from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS, Lateness
-from agent.control.peers.rolling import is_somewhere_on
-from agent.messages.types import HandState
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief, own_doubt
+from handfast.agent.control.peers.clock_offset import ClockOffset
+from handfast.agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS, Lateness
+from handfast.agent.control.peers.rolling import is_somewhere_on
+from handfast.agent.messages.types import HandState
 
 NEVER: Final = -1
 """Stamp of what has not come."""

@@ -13,11 +13,11 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from math import inf
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.control.peers.beliefs import stood_between
-from agent.control.peers.forecast import Forecast, Instants
-from agent.control.peers.lateness import (
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.control.peers.beliefs import stood_between
+from handfast.agent.control.peers.forecast import Forecast, Instants
+from handfast.agent.control.peers.lateness import (
     IN_TIME_NS,
     LATE_MAX_NS,
     OUTAGE_NS,
@@ -25,14 +25,14 @@ from agent.control.peers.lateness import (
     UNSURE_NS,
     missed_at_least,
 )
-from agent.control.peers.lost_vehicles import LostVehicles
-from agent.control.peers.overdue import Overdue
-from agent.control.peers.peer import NEVER, Peer
-from agent.control.peers.prediction import Prediction, as_it_came, coasting
-from agent.control.peers.rolling import Rolls
-from agent.control.peers.silent_rows import NEVER_CAME_NS, SilentRows
-from agent.control.peers.whereabouts import Whereabouts
-from agent.messages.types import (
+from handfast.agent.control.peers.lost_vehicles import LostVehicles
+from handfast.agent.control.peers.overdue import Overdue
+from handfast.agent.control.peers.peer import NEVER, Peer
+from handfast.agent.control.peers.prediction import Prediction, as_it_came, coasting
+from handfast.agent.control.peers.rolling import Rolls
+from handfast.agent.control.peers.silent_rows import NEVER_CAME_NS, SilentRows
+from handfast.agent.control.peers.whereabouts import Whereabouts
+from handfast.agent.messages.types import (
     FUTURE_NS_MAX,
     NEIGHBOURS_MAX,
     Beacon,

@@ -9,10 +9,10 @@ from __future__ import annotations
 from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final
 
-from agent.common.quantities import DISTANCE_MIN, Vector
-from agent.control.law import acting_error, firmness
-from agent.formation.trajectory import Sample
-from agent.messages.types import HandState
+from handfast.agent.common.quantities import DISTANCE_MIN, Vector
+from handfast.agent.control.law import acting_error, firmness
+from handfast.agent.formation.trajectory import Sample
+from handfast.agent.messages.types import HandState
 
 BRAKING_TIME_S: Final = 0.2
 """A robot that brakes is taken to lose its speed with this time constant."""

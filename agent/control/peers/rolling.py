@@ -9,10 +9,10 @@ from __future__ import annotations
 from math import cos, hypot, sin, tau
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
-from agent.control.hand import Hand, hand
-from agent.fleet.sections import Robot
-from agent.messages.types import HandState, Setpoint
+from handfast.agent.common.quantities import Vector
+from handfast.agent.control.hand import Hand, hand
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.messages.types import HandState, Setpoint
 
 ROLLS: Final = 0.06
 """m/s: a body that is slower is at rest, as far as its estimate tells."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.control.peers.forecast import Forecast
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.overdue import Overdue
-from agent.control.peers.peer import Peer
-from agent.control.peers.whereabouts import Whereabouts
-from agent.messages.types import SILENT_MAX, Silent
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.peers.forecast import Forecast
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.overdue import Overdue
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.whereabouts import Whereabouts
+from handfast.agent.messages.types import SILENT_MAX, Silent
 
 ELSEWHERE_NS: Final = NS_PER_S
 """For so long a robot that is heard here is told of to one that has said that it does not hear it."""

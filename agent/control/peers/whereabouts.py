@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.control.peers.beliefs import Belief, stands_after, stood_between
-from agent.control.peers.forecast import Forecast
-from agent.control.peers.peer import Peer
-from agent.messages.types import HandState
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.peers.beliefs import Belief, stands_after, stood_between
+from handfast.agent.control.peers.forecast import Forecast
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.messages.types import HandState
 
 
 class Whereabouts:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.messages.types import SEVERITIES
+from handfast.agent.messages.types import SEVERITIES
 
 # Flight modes: HEARTBEAT.custom_mode, SET_MODE, MAV_CMD_DO_SET_MODE.
 MODE_MANUAL: Final = 0

@@ -15,7 +15,7 @@ from collections import deque
 from math import ceil, cos, inf, radians, sin
 from typing import Final, NamedTuple
 
-from bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot import constants
 
 GRAVITY: Final = 9.80665
 STEP_S: Final = 0.005

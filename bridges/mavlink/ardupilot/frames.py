@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 from pymap3d import enu2geodetic, geodetic2enu
 
-from agent.fleet.model import Fleet
+from handfast.agent.fleet.model import Fleet
 
 METRES_PER_DEGREE: Final = 0.011131884502145034e7
 """Of latitude, in ArduPilot's arithmetic (``LOCATION_SCALING_FACTOR``)."""

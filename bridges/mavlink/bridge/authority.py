@@ -15,7 +15,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, NamedTuple
 
-from agent.supervision.stop_latch import AWAITED
+from handfast.agent.supervision.stop_latch import AWAITED
 
 UNHEARD: Final = "nothing was heard of it"
 """How it is said of a vehicle that its operator may have had."""

@@ -8,28 +8,28 @@ from collections.abc import Sequence
 from math import hypot, radians
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from agent.runtime.loop import Log
-from agent.supervision.state_machine import at_rest
-from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits
-from bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld
-from bridges.mavlink.bridge import link_checks, navigation_checks, preflight_checks
-from bridges.mavlink.bridge.authority import REBOOTED, UNHEARD, Authority, Holder
-from bridges.mavlink.bridge.estimate import Estimate
-from bridges.mavlink.bridge.failsafe import BREACHED, OwnFailsafe
-from bridges.mavlink.bridge.setpoint import Bounds, MotionCheck, Setpoint
-from bridges.mavlink.bridge.takeover import Takeover
-from bridges.mavlink.session.parameters import AUDITED
-from bridges.mavlink.session.session import Session
-from bridges.mavlink.session.settings import session_settings
-from bridges.mavlink.session.signing import Signing
-from bridges.mavlink.transport.transport import Transport
-from plant.backend import WAITING, Check, Command, PlantBackend, Reading, Said
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.runtime.loop import Log
+from handfast.agent.supervision.state_machine import at_rest
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.bridges.mavlink.ardupilot import constants, frames
+from handfast.bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld
+from handfast.bridges.mavlink.bridge import link_checks, navigation_checks, preflight_checks
+from handfast.bridges.mavlink.bridge.authority import REBOOTED, UNHEARD, Authority, Holder
+from handfast.bridges.mavlink.bridge.estimate import Estimate
+from handfast.bridges.mavlink.bridge.failsafe import BREACHED, OwnFailsafe
+from handfast.bridges.mavlink.bridge.setpoint import Bounds, MotionCheck, Setpoint
+from handfast.bridges.mavlink.bridge.takeover import Takeover
+from handfast.bridges.mavlink.session.parameters import AUDITED
+from handfast.bridges.mavlink.session.session import Session
+from handfast.bridges.mavlink.session.settings import session_settings
+from handfast.bridges.mavlink.session.signing import Signing
+from handfast.bridges.mavlink.transport.transport import Transport
+from handfast.plant.backend import WAITING, Check, Command, PlantBackend, Reading, Said
 
 CHECKS_PERIOD_NS: Final = NS_PER_S // 2
 CHECKS_DRIVING_NS: Final = 2 * NS_PER_S

@@ -15,10 +15,10 @@ from collections import deque
 from math import cos, degrees, hypot, isfinite, sin
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits, RoverDynamics
-from bridges.mavlink.ardupilot.frames import wrapped
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits, RoverDynamics
+from handfast.bridges.mavlink.ardupilot.frames import wrapped
 
 STALE_S: Final = 0.4
 """Nothing older than this is driven by."""

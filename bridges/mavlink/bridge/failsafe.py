@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 TOGETHER_NS: Final = 2 * NS_PER_S
 """A text and a change of mode that are no further apart are one matter, whichever comes first."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from agent.fleet.mavlink_section import MavlinkSection
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.session import Session
-from bridges.mavlink.transport.connection_string import BY_ID, is_lasting
-from bridges.mavlink.transport.port_diagnosis import TO_DO
-from plant.backend import WAITING, Check
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.session.session import Session
+from handfast.bridges.mavlink.transport.connection_string import BY_ID, is_lasting
+from handfast.bridges.mavlink.transport.port_diagnosis import TO_DO
+from handfast.plant.backend import WAITING, Check
 
 RATE_SHARE: Final = 0.8
 RATE_MIN_HZ: Final = 4.0

@@ -9,13 +9,13 @@ from functools import lru_cache
 from math import hypot
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
-from bridges.mavlink.session.reports import Ekf
-from bridges.mavlink.session.session import Session
-from plant.backend import WAITING, Check
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
+from handfast.bridges.mavlink.session.reports import Ekf
+from handfast.bridges.mavlink.session.session import Session
+from handfast.plant.backend import WAITING, Check
 
 DATUM_FAR_M: Final = 1_000.0
 DATUM_TOO_FAR_M: Final = 10_000.0

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from math import degrees
 from typing import Final
 
-from agent.fleet.mavlink_section import MavlinkSection
-from bridges.mavlink.ardupilot import constants, steering
-from bridges.mavlink.session.session import Session
-from plant.backend import WAITING, Check
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.bridges.mavlink.ardupilot import constants, steering
+from handfast.bridges.mavlink.session.session import Session
+from handfast.plant.backend import WAITING, Check
 
 
 def steers(link: Session) -> Iterator[Check]:

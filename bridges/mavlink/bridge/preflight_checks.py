@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Final, NamedTuple
 
-from agent.control.hand import Pose
-from agent.fleet.mavlink_section import MavlinkSection
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.bridge import link_checks, navigation_checks, parameter_audit
-from bridges.mavlink.session.session import Session
-from plant.backend import BATTERY, WAITING, Check
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.bridge import link_checks, navigation_checks, parameter_audit
+from handfast.bridges.mavlink.session.session import Session
+from handfast.plant.backend import BATTERY, WAITING, Check
 
 FIRMWARE_MIN: Final = (4, 3)
 BATTERY_WARN_PERCENT: Final = 30

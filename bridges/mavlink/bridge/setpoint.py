@@ -26,17 +26,17 @@ from __future__ import annotations
 from math import isfinite
 from typing import Final, NamedTuple
 
-from agent.control.hand import Pose
-from agent.supervision.state_machine import REST_SPEED
-from bridges.mavlink.ardupilot.dynamics import (
+from handfast.agent.control.hand import Pose
+from handfast.agent.supervision.state_machine import REST_SPEED
+from handfast.bridges.mavlink.ardupilot.dynamics import (
     DEFAULTS,
     GRAVITY,
     STEERING_ACCELERATION_MAX,
     limited,
     or_inf,
 )
-from bridges.mavlink.bridge.estimate import Residual
-from plant.backend import Command
+from handfast.bridges.mavlink.bridge.estimate import Residual
+from handfast.plant.backend import Command
 
 LEAD_SPEED_S: Final = 0.15
 LEAD_YAW_S: Final = 0.02

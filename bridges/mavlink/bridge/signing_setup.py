@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S, Clock
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from bridges.mavlink.session.session import Session
-from bridges.mavlink.session.settings import SessionSettings, session_settings
-from bridges.mavlink.session.signing import Signing, SigningError, open_signing
-from bridges.mavlink.transport.transport import Transport, open_transport
+from handfast.agent.common.time import NS_PER_S, Clock
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.bridges.mavlink.session.session import Session
+from handfast.bridges.mavlink.session.settings import SessionSettings, session_settings
+from handfast.bridges.mavlink.session.signing import Signing, SigningError, open_signing
+from handfast.bridges.mavlink.transport.transport import Transport, open_transport
 
 PERIOD_NS: Final = NS_PER_S // 25
 VEHICLE_NS: Final = 15 * NS_PER_S

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.runtime.loop import Log
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.bridge.authority import Holder
-from bridges.mavlink.session.session import Session
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.runtime.loop import Log
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.bridge.authority import Holder
+from handfast.bridges.mavlink.session.session import Session
 
 PERIOD_NS: Final = 3 * NS_PER_S
 """Between two attempts: the vehicle's own checks may refuse the first ones."""

@@ -19,7 +19,7 @@ from collections import deque
 from statistics import median
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 DRIFT: Final = 100e-6
 """s/s: what an autopilot's crystal and a computer's part by at most."""

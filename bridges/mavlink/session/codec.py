@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridges.mavlink.session.signing import STEPS_PER_S, Signing
-from bridges.mavlink.session.whole_frames import WholeFrames
+from handfast.bridges.mavlink.session.signing import STEPS_PER_S, Signing
+from handfast.bridges.mavlink.session.whole_frames import WholeFrames
 
 STREAMS_MAX: Final = 64
 NEW_STREAM_BEHIND: Final = 60 * STEPS_PER_S

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants, steering
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants, steering
 
 AUDITED: Final = (
     # First what limits the motion, which the bridge itself needs.

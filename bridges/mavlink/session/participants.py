@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
 
 HEARD_NS: Final = 5 * NS_PER_S
 """Who has sent no heartbeat for this long is gone."""

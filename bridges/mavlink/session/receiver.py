@@ -9,17 +9,25 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session import reports
-from bridges.mavlink.session.boot_clock import BootClock
-from bridges.mavlink.session.codec import Codec
-from bridges.mavlink.session.commands import Commands
-from bridges.mavlink.session.parameters import Parameters
-from bridges.mavlink.session.participants import Participant, Participants
-from bridges.mavlink.session.reports import AttitudeSample, Ekf, Gps, PositionSample, Status, Text, Texts
-from bridges.mavlink.session.settings import SessionSettings
-from bridges.mavlink.session.streams import Streams, wanted_messages
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session import reports
+from handfast.bridges.mavlink.session.boot_clock import BootClock
+from handfast.bridges.mavlink.session.codec import Codec
+from handfast.bridges.mavlink.session.commands import Commands
+from handfast.bridges.mavlink.session.parameters import Parameters
+from handfast.bridges.mavlink.session.participants import Participant, Participants
+from handfast.bridges.mavlink.session.reports import (
+    AttitudeSample,
+    Ekf,
+    Gps,
+    PositionSample,
+    Status,
+    Text,
+    Texts,
+)
+from handfast.bridges.mavlink.session.settings import SessionSettings
+from handfast.bridges.mavlink.session.streams import Streams, wanted_messages
 
 QUEUE_MAX: Final = 256
 TIMESYNC_KEPT: Final = 16

@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic, wrapped
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, wrapped
 
 _UNKNOWN_U16: Final = 65535
 _E7: Final = 1e7

@@ -15,15 +15,15 @@ from typing import Any, Final, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.session import reports
-from bridges.mavlink.session.commands import Outcome
-from bridges.mavlink.session.receiver import Receiver
-from bridges.mavlink.session.reports import AttitudeSample, Battery, PositionSample, Text
-from bridges.mavlink.session.settings import SessionSettings as SessionSettings
-from bridges.mavlink.session.signing import KEY_BYTES
-from bridges.mavlink.session.streams import FENCE, StreamRow
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants, frames
+from handfast.bridges.mavlink.session import reports
+from handfast.bridges.mavlink.session.commands import Outcome
+from handfast.bridges.mavlink.session.receiver import Receiver
+from handfast.bridges.mavlink.session.reports import AttitudeSample, Battery, PositionSample, Text
+from handfast.bridges.mavlink.session.settings import SessionSettings as SessionSettings
+from handfast.bridges.mavlink.session.signing import KEY_BYTES
+from handfast.bridges.mavlink.session.streams import FENCE, StreamRow
 
 HEARTBEAT_PERIOD_NS: Final = NS_PER_S
 HEARTBEAT_TIMEOUT_NS: Final = 3 * NS_PER_S

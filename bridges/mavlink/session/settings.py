@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from agent.fleet.mavlink_section import MavlinkSection
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session.parameters import AUDITED
-from bridges.mavlink.session.signing import Signing
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session.parameters import AUDITED
+from handfast.bridges.mavlink.session.signing import Signing
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from agent.security import private_files
-from agent.security.private_files import KeyFileError
+from handfast.agent.security import private_files
+from handfast.agent.security.private_files import KeyFileError
 
 KEY_BYTES: Final = 32
 EPOCH_S: Final = 1_420_070_400

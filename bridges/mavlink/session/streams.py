@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
 
 LOWER_RATES_HZ: Final = (25.0, 20.0, 12.5, 10.0, 5.0)
 """Tried in turn when a state message is refused; whole milliseconds, as ArduPilot counts them."""

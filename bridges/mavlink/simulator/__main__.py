@@ -10,20 +10,20 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent.common.exit import BAD_INPUT, FAILED, PASSED
-from agent.common.time import NS_PER_S, Clock
-from agent.runtime.clock import RealClock
-from agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown, add_parent_argument
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.simulator.rover import Rover
-from bridges.mavlink.simulator.settings import (
+from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.time import NS_PER_S, Clock
+from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown, add_parent_argument
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.simulator.rover import Rover
+from handfast.bridges.mavlink.simulator.settings import (
     DEFAULT_HOME,
     Settings,
     SettingsError,
     parse_home,
     parse_parameter,
 )
-from bridges.mavlink.simulator.sockets import Endpoint, Line, open_lines, parse_endpoint, readable
+from handfast.bridges.mavlink.simulator.sockets import Endpoint, Line, open_lines, parse_endpoint, readable
 
 DEFAULT_ENDPOINTS: Final = tuple(Endpoint("tcp", "127.0.0.1", port, True) for port in (5760, 5762, 5763))
 """Ports as ArduPilot's own simulator has them, of this machine only."""

@@ -9,10 +9,10 @@ from typing import Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.simulator.port import Port
-from bridges.mavlink.simulator.telemetry import BUILDERS, Message
-from bridges.mavlink.simulator.vehicle import CRITICAL, INFO, Vehicle
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.simulator.port import Port
+from handfast.bridges.mavlink.simulator.telemetry import BUILDERS, Message
+from handfast.bridges.mavlink.simulator.vehicle import CRITICAL, INFO, Vehicle
 
 SET_MODE: Final = mavlink.MAVLINK_MSG_ID_SET_MODE
 """What ArduPilot acknowledges a SET_MODE as, although it is a message and not a command."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import copysign, cos, hypot, sin, sqrt
 from typing import Final, Protocol
 
-from bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot import constants
 
 LIMITS_NS: Final = 500_000_000
 """Avoidance is said to act for so long after it last did."""

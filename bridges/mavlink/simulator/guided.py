@@ -8,8 +8,8 @@ from __future__ import annotations
 from math import atan2, copysign, cos, hypot, isfinite, pi, sin, sqrt
 from typing import Final, NamedTuple
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import wrapped
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import wrapped
 
 STEERING_P: Final = 2.0
 """rad/s of yaw rate per rad of heading error (ATC_STR_ANG_P)."""

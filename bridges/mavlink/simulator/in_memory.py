@@ -6,14 +6,14 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.model import Fleet
-from bridges.mavlink.ardupilot import frames
-from bridges.mavlink.bridge.backend import MavlinkPlant, session
-from bridges.mavlink.simulator.rover import Rover
-from bridges.mavlink.simulator.settings import settings_of
-from plant.backend import Begin, Check, Command, Reading, Said, VirtualBody
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.model import Fleet
+from handfast.bridges.mavlink.ardupilot import frames
+from handfast.bridges.mavlink.bridge.backend import MavlinkPlant, session
+from handfast.bridges.mavlink.simulator.rover import Rover
+from handfast.bridges.mavlink.simulator.settings import settings_of
+from handfast.plant.backend import Begin, Check, Command, Reading, Said, VirtualBody
 
 LATENCY_NS: Final = 2_000_000
 """One way, between bridge and vehicle: as over a network on one machine."""

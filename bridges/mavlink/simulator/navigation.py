@@ -12,10 +12,10 @@ from enum import Enum
 from math import cos, sin, tau
 from typing import Final, NamedTuple
 
-from agent.common.random_streams import stream, uniform
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.dynamics import RoverDynamics
-from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_local, local_to_geodetic, wrapped
+from handfast.agent.common.random_streams import stream, uniform
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.dynamics import RoverDynamics
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_local, local_to_geodetic, wrapped
 
 INITIALISED: Final = 5.0 / 40.0
 GPS_FIX: Final = 12.0 / 40.0

@@ -6,11 +6,11 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.random_streams import stream, uniform
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.signing import timestamp_at
-from bridges.mavlink.simulator.telemetry import BUILDERS, DEFAULT_STREAMS, Message
+from handfast.agent.common.random_streams import stream, uniform
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.session.signing import timestamp_at
+from handfast.bridges.mavlink.simulator.telemetry import BUILDERS, DEFAULT_STREAMS, Message
 
 DEFAULT_INTERVAL_NS: Final = round(NS_PER_S / constants.STREAM_RATE_HZ)
 LATE: Final = 0.02

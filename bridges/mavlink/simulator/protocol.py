@@ -9,16 +9,21 @@ from typing import Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.simulator.commands import COMMANDS, SET_MODE, Context, set_mode
-from bridges.mavlink.simulator.guided import NotFinite, PositionTarget, of_attitude_target, of_position_target
-from bridges.mavlink.simulator.port import Port
-from bridges.mavlink.simulator.routing import Routes
-from bridges.mavlink.simulator.settings import SettingsError, type_of
-from bridges.mavlink.simulator.telemetry import BUILDERS, Message, heartbeat
-from bridges.mavlink.simulator.vehicle import WARNING, Vehicle
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.simulator.commands import COMMANDS, SET_MODE, Context, set_mode
+from handfast.bridges.mavlink.simulator.guided import (
+    NotFinite,
+    PositionTarget,
+    of_attitude_target,
+    of_position_target,
+)
+from handfast.bridges.mavlink.simulator.port import Port
+from handfast.bridges.mavlink.simulator.routing import Routes
+from handfast.bridges.mavlink.simulator.settings import SettingsError, type_of
+from handfast.bridges.mavlink.simulator.telemetry import BUILDERS, Message, heartbeat
+from handfast.bridges.mavlink.simulator.vehicle import WARNING, Vehicle
 
 PARAMETERS_PER_LOOP: Final = 2
 TIMESYNC_PERIOD_NS: Final = 10 * NS_PER_S

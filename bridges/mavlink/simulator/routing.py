@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot import constants
 
 ROUTES_MAX: Final = 20
 PRIVATE: Final = frozenset({109, 166, 246})

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.random_streams import stream, uniform
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.simulator.protocol import Protocol
-from bridges.mavlink.simulator.settings import Settings, SettingsError
-from bridges.mavlink.simulator.vehicle import Vehicle
+from handfast.agent.common.random_streams import stream, uniform
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.simulator.protocol import Protocol
+from handfast.bridges.mavlink.simulator.settings import Settings, SettingsError
+from handfast.bridges.mavlink.simulator.vehicle import Vehicle
 
 __all__ = ["Rover", "Settings", "SettingsError"]
 

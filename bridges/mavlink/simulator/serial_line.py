@@ -20,9 +20,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from bridges.mavlink.simulator.settings import SettingsError
-from bridges.mavlink.simulator.uart import HANDED_ON_NS, Wire, misread
-from bridges.mavlink.transport.lock import lock_file
+from handfast.bridges.mavlink.simulator.settings import SettingsError
+from handfast.bridges.mavlink.simulator.uart import HANDED_ON_NS, Wire, misread
+from handfast.bridges.mavlink.transport.lock import lock_file
 
 BAUD_MIN: Final = 1200
 BAUD_MAX: Final = 4_000_000

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from math import isfinite, radians
 from typing import Final, Literal
 
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from bridges.mavlink.ardupilot import constants, steering
-from bridges.mavlink.ardupilot.frames import Geodetic, datum_of, world_to_geodetic, yaw_from_heading
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.bridges.mavlink.ardupilot import constants, steering
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, datum_of, world_to_geodetic, yaw_from_heading
 
 SIGNING_KEY_BYTES: Final = 32
 SYSTEM_MAX: Final = 250

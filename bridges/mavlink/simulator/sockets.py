@@ -10,9 +10,9 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.simulator.serial_line import SerialEndpoint, SerialLine, parse_serial
-from bridges.mavlink.simulator.settings import SettingsError
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.simulator.serial_line import SerialEndpoint, SerialLine, parse_serial
+from handfast.bridges.mavlink.simulator.settings import SettingsError
 
 RECEIVE_BYTES: Final = 65_536
 DATAGRAM_BYTES: Final = 1_200

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.simulator.vehicle import Vehicle
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.simulator.vehicle import Vehicle
 
 MANUAL_MODES: Final = frozenset(
     {constants.MODE_MANUAL, constants.MODE_ACRO, constants.MODE_STEERING, constants.MODE_SIMPLE}

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 FRAME_BITS: Final = 10
 """A start bit, eight of data, a stop bit."""

@@ -9,14 +9,14 @@ from __future__ import annotations
 from math import cos, radians, sin
 from typing import Final
 
-from agent.common.random_streams import stream, uniform
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics, limited
-from bridges.mavlink.ardupilot.frames import Geodetic, local_to_geodetic
-from bridges.mavlink.simulator.fence import Fence
-from bridges.mavlink.simulator.guided import Guided, Pose
-from bridges.mavlink.simulator.navigation import Navigation, Reception
-from bridges.mavlink.simulator.settings import Parameters, Settings
+from handfast.agent.common.random_streams import stream, uniform
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics, limited
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, local_to_geodetic
+from handfast.bridges.mavlink.simulator.fence import Fence
+from handfast.bridges.mavlink.simulator.guided import Guided, Pose
+from handfast.bridges.mavlink.simulator.navigation import Navigation, Reception
+from handfast.bridges.mavlink.simulator.settings import Parameters, Settings
 
 CREEP_M: Final = (0.03, 0.09)
 """m, least and most, that it creeps while it boots."""

@@ -6,8 +6,8 @@ import errno
 import socket
 from typing import Any, Final, Protocol
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.transport.connection_string import Connection, Unusable
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.transport.connection_string import Connection, Unusable
 
 READ_BYTES: Final = 8192
 PEER_NS: Final = 3 * NS_PER_S

@@ -7,8 +7,8 @@ from typing import Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.transport.port_diagnosis import CONSOLE, TO_DO
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.transport.port_diagnosis import CONSOLE, TO_DO
 
 PATIENCE_NS: Final = 3 * NS_PER_S
 """Bytes may come for so long without a message among them."""

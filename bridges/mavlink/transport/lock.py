@@ -7,8 +7,8 @@ import os
 import re
 from hashlib import sha256
 
-from agent.runtime.runtime_folder import private_folder
-from bridges.mavlink.transport.connection_string import Connection, Unusable
+from handfast.agent.runtime.runtime_folder import private_folder
+from handfast.bridges.mavlink.transport.connection_string import Connection, Unusable
 
 
 class InUse(Unusable):

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from bridges.mavlink.transport.connection_string import Unusable
+from handfast.bridges.mavlink.transport.connection_string import Unusable
 
 TO_DO: Final = "; to do: "
 """Between what is wrong and what to do about it."""

@@ -9,10 +9,10 @@ import os
 import termios
 from typing import Final
 
-from bridges.mavlink.transport import port_diagnosis
-from bridges.mavlink.transport.channels import READ_BYTES, Stream, would_wait
-from bridges.mavlink.transport.connection_string import Connection, Unusable
-from bridges.mavlink.transport.line_contents import LineContents
+from handfast.bridges.mavlink.transport import port_diagnosis
+from handfast.bridges.mavlink.transport.channels import READ_BYTES, Stream, would_wait
+from handfast.bridges.mavlink.transport.connection_string import Connection, Unusable
+from handfast.bridges.mavlink.transport.line_contents import LineContents
 
 QUEUE_S: Final = 0.25
 """More than this waiting in a serial port's buffer: what is sent would come too late, and is dropped."""

@@ -16,11 +16,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from agent.runtime.runtime_folder import NotPrivateError
-from bridges.mavlink.transport.channels import Channel, Tcp, UdpIn, UdpOut
-from bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
-from bridges.mavlink.transport.lock import ConnectionLock
-from bridges.mavlink.transport.serial_channel import Serial
+from handfast.agent.runtime.runtime_folder import NotPrivateError
+from handfast.bridges.mavlink.transport.channels import Channel, Tcp, UdpIn, UdpOut
+from handfast.bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
+from handfast.bridges.mavlink.transport.lock import ConnectionLock
+from handfast.bridges.mavlink.transport.serial_channel import Serial
 
 QUEUE_MAX: Final = 4096
 LOOK_MS: Final = 1000

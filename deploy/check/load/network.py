@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.control.safety_distances import sensing_distance
-from agent.fleet.hosts import MESH_ROBOTS_MAX
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, resolve, start_hands
-from agent.supervision.status import status_hz
-from deploy.check.finding import Finding
-from deploy.check.safety import parting
+from handfast.agent.control.safety_distances import sensing_distance
+from handfast.agent.fleet.hosts import MESH_ROBOTS_MAX
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry, resolve, start_hands
+from handfast.agent.supervision.status import status_hz
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.check.safety import parting
 
 
 class Load(NamedTuple):
@@ -79,7 +79,7 @@ def load_of(fleet: Fleet, robots: int | None = None) -> Load:
     like these. Robots that pass each other hear more of each other.
 
     Raises:
-        agent.fleet.model.FleetError: its formation cannot be resolved.
+        handfast.agent.fleet.model.FleetError: its formation cannot be resolved.
     """
     there, rate, each_hz = len(fleet.robots), fleet.fleet.rate_hz, beacon_hz(fleet)
     n = there if robots is None else robots

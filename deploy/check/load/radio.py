@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from agent.messages.codec import encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import HEARD_ROUNDS, Beacon, HandState, PlantState, Wrench
-from deploy.check.load.network import beacon_hz, listeners, neighbours
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import HEARD_ROUNDS, Beacon, HandState, PlantState, Wrench
+from handfast.deploy.check.load.network import beacon_hz, listeners, neighbours
 
 _NOW_NS: Final = 1_790_000_000_000_000_000
 _PACKET_BYTES: Final = 64

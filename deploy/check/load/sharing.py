@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from math import ceil
 from typing import Final
 
-from agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS
-from agent.fleet.hosts import MESH_ROBOTS_MAX
-from agent.fleet.model import Fleet
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS
+from handfast.agent.fleet.hosts import MESH_ROBOTS_MAX
+from handfast.agent.fleet.model import Fleet
 
 STEPS_HZ: Final = 500.0
 """So many steps a second does one process at most: all bodies of a process tick at once, and the last of them

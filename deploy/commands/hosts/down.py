@@ -5,16 +5,23 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import FEW
-from deploy.inventory.running import NoAnswerError, handled
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import (
+    InputError,
+    describe,
+    fleet_path,
+    host_argument,
+    load,
+    no_changes,
+)
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import FEW
+from handfast.deploy.inventory.running import NoAnswerError, handled
 
 if TYPE_CHECKING:
-    from deploy.hosts.connection import HostConnection
-    from deploy.hosts.view import HostsView, Row
+    from handfast.deploy.hosts.connection import HostConnection
+    from handfast.deploy.hosts.view import HostsView, Row
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,11 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _down(options: argparse.Namespace) -> int:
-    from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.view import DONE as HOST_DONE
-    from deploy.hosts.view import make_hosts_view
-    from deploy.inventory.fleets_up import note_down
-    from deploy.inventory.hosts import hosts_of, located
+    from handfast.deploy.hosts.jobs import HostJobs
+    from handfast.deploy.hosts.view import DONE as HOST_DONE
+    from handfast.deploy.hosts.view import make_hosts_view
+    from handfast.deploy.inventory.fleets_up import note_down
+    from handfast.deploy.inventory.hosts import hosts_of, located
 
     fleet = load(options)
     interrupt = Interrupt()
@@ -61,9 +68,9 @@ def _down(options: argparse.Namespace) -> int:
 
 def _brake(fleet: Fleet, view: HostsView) -> None:
     """Stops all robots at once, before their processes end one by one."""
-    from agent.transport.bus import BusError
-    from deploy.session.live_operators import LiveWay
-    from deploy.session.stop import stop
+    from handfast.agent.transport.bus import BusError
+    from handfast.deploy.session.live_operators import LiveWay
+    from handfast.deploy.session.stop import stop
 
     try:
         stopping, troubles = stop(fleet, _reason(fleet), [LiveWay(fleet)])
@@ -82,9 +89,9 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
 def _reason(fleet: Fleet) -> str:
     """Why the robots stand from now on, also when they are up again: if somebody has stopped them for a
     reason, for that."""
-    from deploy.drive.preconditions import GOES_DOWN, is_lifted
-    from deploy.session.operator_session import OperatorSession
-    from deploy.session.session import connected
+    from handfast.deploy.drive.preconditions import GOES_DOWN, is_lifted
+    from handfast.deploy.session.operator_session import OperatorSession
+    from handfast.deploy.session.session import connected
 
     with connected(OperatorSession(fleet)) as session:
         session.ask()
@@ -93,7 +100,7 @@ def _reason(fleet: Fleet) -> str:
 
 
 def _end(connection: HostConnection, row: Row, fleet: Fleet) -> None:
-    from deploy.hosts.connection import HostError
+    from handfast.deploy.hosts.connection import HostError
 
     row.step = "ending"
     answer = connection.ask("down", fleet=fleet.fleet.name)

@@ -6,9 +6,9 @@ import argparse
 import sys
 import time
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.common.wording import printable
-from deploy.console.arguments import (
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.wording import printable
+from handfast.deploy.console.arguments import (
     InputError,
     describe,
     fleet_path,
@@ -17,9 +17,9 @@ from deploy.console.arguments import (
     no_changes,
     place_for,
 )
-from deploy.console.interrupt import Interrupt
-from deploy.console.times import FORMS, point_in_time
-from deploy.inventory.running import handled
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.times import FORMS, point_in_time
+from handfast.deploy.inventory.running import handled
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,18 +43,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _fetch(options: argparse.Namespace) -> int:
-    from deploy.drive.outcome import conclude
-    from deploy.hosts.fetch import Fetching
-    from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.view import FAILED as HOST_FAILED
-    from deploy.hosts.view import make_hosts_view
-    from deploy.inventory.folders import out_folder, refuse_full
-    from deploy.inventory.hosts import hosts_of, located
-    from deploy.merging.merge import Choice, Known, merge
-    from deploy.merging.robot_recording import MergeError
-    from deploy.recording.recorder import RecordingError
-    from deploy.report.run_folder import FolderError
-    from deploy.session.sealing import order_opener
+    from handfast.deploy.drive.outcome import conclude
+    from handfast.deploy.hosts.fetch import Fetching
+    from handfast.deploy.hosts.jobs import HostJobs
+    from handfast.deploy.hosts.view import FAILED as HOST_FAILED
+    from handfast.deploy.hosts.view import make_hosts_view
+    from handfast.deploy.inventory.folders import out_folder, refuse_full
+    from handfast.deploy.inventory.hosts import hosts_of, located
+    from handfast.deploy.merging.merge import Choice, Known, merge
+    from handfast.deploy.merging.robot_recording import MergeError
+    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.report.run_folder import FolderError
+    from handfast.deploy.session.sealing import order_opener
 
     now_s = time.time()
     since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))

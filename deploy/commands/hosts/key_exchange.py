@@ -7,18 +7,18 @@ import argparse
 import os
 from pathlib import Path
 
-from agent.fleet.model import Fleet
-from agent.security import private_files
-from agent.security.credentials import authority_of
-from agent.security.identity import of_operator
-from deploy.console.arguments import InputError
-from deploy.console.passphrase import passphrase
-from deploy.inventory import operator_requests
-from deploy.inventory.authority_backup import BACKUP_BYTES_MAX, packed, unpack
-from deploy.inventory.certificate_authority import Authority
-from deploy.inventory.certificate_requests import REQUEST_BYTES_MAX
-from deploy.inventory.operator_credentials import AUTHORITY_FILE, OPERATOR, operator_name, short
-from deploy.inventory.operator_requests import SIGNED_BYTES_MAX, requested_by
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security import private_files
+from handfast.agent.security.credentials import authority_of
+from handfast.agent.security.identity import of_operator
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.console.passphrase import passphrase
+from handfast.deploy.inventory import operator_requests
+from handfast.deploy.inventory.authority_backup import BACKUP_BYTES_MAX, packed, unpack
+from handfast.deploy.inventory.certificate_authority import Authority
+from handfast.deploy.inventory.certificate_requests import REQUEST_BYTES_MAX
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, OPERATOR, operator_name, short
+from handfast.deploy.inventory.operator_requests import SIGNED_BYTES_MAX, requested_by
 
 
 def existing(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> Authority:

@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from agent.common.exit import PASSED
-from agent.fleet.model import Fleet
-from agent.security.certificates import DAY_S
-from agent.security.credentials import (
+from handfast.agent.common.exit import PASSED
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.credentials import (
     RENEW_DAYS,
     Credentials,
     CredentialsError,
@@ -23,7 +23,7 @@ from agent.security.credentials import (
     store,
     wanting,
 )
-from agent.security.identity import (
+from handfast.agent.security.identity import (
     MAIN,
     Identity,
     IdentityError,
@@ -33,12 +33,18 @@ from agent.security.identity import (
     of_router,
     parse,
 )
-from agent.security.private_files import KeyFileError, exists
-from deploy.commands.hosts.key_exchange import backup, existing, install, request, restore, sign
-from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved, place_for
-from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
-from deploy.inventory.certificate_requests import RequestError
-from deploy.inventory.operator_credentials import (
+from handfast.agent.security.private_files import KeyFileError, exists
+from handfast.deploy.commands.hosts.key_exchange import backup, existing, install, request, restore, sign
+from handfast.deploy.console.arguments import (
+    InputError,
+    describe,
+    fleet_arguments,
+    load_unresolved,
+    place_for,
+)
+from handfast.deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
+from handfast.deploy.inventory.certificate_requests import RequestError
+from handfast.deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
     KEYS,
     OPERATOR,
@@ -237,8 +243,8 @@ def _provide_all(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s:
 
 def _refuse_on_mission(options: argparse.Namespace, fleet: Fleet, what: str) -> None:
     """Raises `InputError`, which begins with `what`, unless the fleet is known to be at rest."""
-    from agent.formation.geometry import resolved
-    from deploy.hosts.at_rest import rest_of
+    from handfast.agent.formation.geometry import resolved
+    from handfast.deploy.hosts.at_rest import rest_of
 
     why = rest_of(resolved(fleet), options.fleet).refusal()
     if why:

@@ -17,11 +17,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.common.wording import printable
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from deploy.console.arguments import (
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import (
     InputError,
     describe,
     host_argument,
@@ -29,16 +29,16 @@ from deploy.console.arguments import (
     robots_argument,
     robots_named,
 )
-from deploy.console.interrupt import Interrupt
-from deploy.console.times import FORMS, point_in_time
-from deploy.hosts.artifacts import systemd_units
-from deploy.inventory import ssh
-from deploy.inventory.hosts import hosts_of, located, robots_on
-from deploy.inventory.known_fleets import KnownFleet, NotRunningError, find
-from deploy.inventory.registry import running
-from deploy.inventory.running import MEANING, handled
-from deploy.processes.log_files import LogFile, log_files
-from deploy.recording.run_files import FLEET_FILE, LOG_FOLDER
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.times import FORMS, point_in_time
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.inventory import ssh
+from handfast.deploy.inventory.hosts import hosts_of, located, robots_on
+from handfast.deploy.inventory.known_fleets import KnownFleet, NotRunningError, find
+from handfast.deploy.inventory.registry import running
+from handfast.deploy.inventory.running import MEANING, handled
+from handfast.deploy.processes.log_files import LogFile, log_files
+from handfast.deploy.recording.run_files import FLEET_FILE, LOG_FOLDER
 
 FOLLOWED_LINES: Final = 20
 """Lines of each host that are shown before those that are followed."""
@@ -148,7 +148,7 @@ def _here(
     Raises:
         InputError: there are none, or they cannot answer what is asked.
     """
-    from deploy.hosts.this_machine import logs_of  # here: it needs packages that hosts' logs do not
+    from handfast.deploy.hosts.this_machine import logs_of  # here: it needs packages that hosts' logs do not
 
     folder = logs_of(known) if known.runs else known.fleet_file.parent / LOG_FOLDER
     if folder is None or not folder.is_dir():

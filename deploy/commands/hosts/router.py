@@ -9,14 +9,14 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.common.exit import INTERRUPTED, PASSED
-from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
-from deploy.console.interrupt import Interrupt
-from deploy.inventory.running import handled
+from handfast.agent.common.exit import INTERRUPTED, PASSED
+from handfast.deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.inventory.running import handled
 
 if TYPE_CHECKING:
-    from agent.fleet.model import Fleet
-    from agent.security.access_control import Security
+    from handfast.agent.fleet.model import Fleet
+    from handfast.agent.security.access_control import Security
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,9 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _router(options: argparse.Namespace) -> int:
-    from agent.runtime.router import others, serve
-    from agent.runtime.systemd_notify import SystemdNotifier
-    from agent.transport.bus import settings_of
+    from handfast.agent.runtime.router import others, serve
+    from handfast.agent.runtime.systemd_notify import SystemdNotifier
+    from handfast.agent.transport.bus import settings_of
 
     fleet = load(options)
     interrupt = Interrupt()
@@ -85,10 +85,10 @@ def _listen(options: argparse.Namespace, fleet: Fleet) -> str:
 
 
 def _security(options: argparse.Namespace, fleet: Fleet) -> Security | None:
-    from agent.runtime.router import security_of
-    from agent.security.credentials import CredentialsError, MissingError
-    from agent.security.identity import IdentityError
-    from deploy.inventory.operator_credentials import keys_folder
+    from handfast.agent.runtime.router import security_of
+    from handfast.agent.security.credentials import CredentialsError, MissingError
+    from handfast.agent.security.identity import IdentityError
+    from handfast.deploy.inventory.operator_credentials import keys_folder
 
     folder = keys_folder(fleet.fleet.name) if options.keys is None else Path(options.keys).expanduser()
     try:

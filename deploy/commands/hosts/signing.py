@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from deploy.console.arguments import (
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.deploy.console.arguments import (
     InputError,
     describe,
     fleet_arguments,
@@ -21,7 +21,7 @@ from deploy.console.arguments import (
     robots_argument,
     robots_named,
 )
-from deploy.console.interrupt import Interrupt
+from handfast.deploy.console.interrupt import Interrupt
 
 IN_CLEAR: Final = (
     "The keys cross the links in clear: give them by USB, or over a link that nobody else can listen to. "
@@ -76,9 +76,9 @@ def _signing(options: argparse.Namespace) -> int:
 
 def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
     """Gives these robots their keys, and says of each what became of it; how many sign."""
-    from agent.runtime.clock import RealClock
-    from bridges.mavlink.bridge.signing_setup import Outcome, SigningSetup, give_keys, open_setup
-    from bridges.mavlink.session.signing import SigningError
+    from handfast.agent.runtime.clock import RealClock
+    from handfast.bridges.mavlink.bridge.signing_setup import Outcome, SigningSetup, give_keys, open_setup
+    from handfast.bridges.mavlink.session.signing import SigningError
 
     def ended(robot: int, outcome: Outcome) -> None:
         print(f"robot {robot}: {'' if outcome.done else NOT_DONE}{outcome.text}", flush=True)
@@ -118,7 +118,7 @@ def prepare_keys(robots: Sequence[Robot], *, make: bool) -> None:
     Raises:
         InputError: a key is missing, or cannot be used or made.
     """
-    from bridges.mavlink.session.signing import SigningError, load_key, make_key
+    from handfast.bridges.mavlink.session.signing import SigningError, load_key, make_key
 
     for robot in robots:
         link = robot.section(MavlinkSection)

@@ -12,27 +12,27 @@ from dataclasses import asdict
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.common.wording import printable
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet, FleetError
-from deploy.console.arguments import InputError, describe, host_argument, refuse_hosts
-from deploy.console.interrupt import Interrupt
-from deploy.console.wording import FEW, some
-from deploy.inventory.running import MEANING, handled
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.deploy.console.arguments import InputError, describe, host_argument, refuse_hosts
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.wording import FEW, some
+from handfast.deploy.inventory.running import MEANING, handled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from agent.fleet.hosts import HostSection
-    from agent.messages.types import Status
-    from deploy.analysis.silent_bodies import SilentBody
-    from deploy.hosts.status import HostStatus
-    from deploy.inventory.expiry import Expiry
-    from deploy.inventory.fleets_up import FleetUp
-    from deploy.inventory.known_fleets import KnownFleet
-    from deploy.inventory.registry import Running
-    from deploy.session.operator_session import OperatorSession
+    from handfast.agent.fleet.hosts import HostSection
+    from handfast.agent.messages.types import Status
+    from handfast.deploy.analysis.silent_bodies import SilentBody
+    from handfast.deploy.hosts.status import HostStatus
+    from handfast.deploy.inventory.expiry import Expiry
+    from handfast.deploy.inventory.fleets_up import FleetUp
+    from handfast.deploy.inventory.known_fleets import KnownFleet
+    from handfast.deploy.inventory.registry import Running
+    from handfast.deploy.session.operator_session import OperatorSession
 
 HEADINGS: Final = ("fleet", "where", "robots", "since", "state", "process", "stop it with", "files")
 LISTEN_S: Final = 2.0
@@ -79,12 +79,12 @@ def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
 def _status(options: argparse.Namespace) -> int:
     if options.fleet is None:
         return _list(options)
-    from agent.formation.geometry import resolved
-    from deploy.analysis.silent_bodies import in_words
-    from deploy.hosts.status import host_rows, print_table
-    from deploy.inventory.expiry import summary
-    from deploy.inventory.hosts import hosts_of, located
-    from deploy.inventory.known_fleets import find
+    from handfast.agent.formation.geometry import resolved
+    from handfast.deploy.analysis.silent_bodies import in_words
+    from handfast.deploy.hosts.status import host_rows, print_table
+    from handfast.deploy.inventory.expiry import summary
+    from handfast.deploy.inventory.hosts import hosts_of, located
+    from handfast.deploy.inventory.known_fleets import find
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -148,8 +148,8 @@ class Ears:
         self.statuses: Mapping[int, Status] = {}
 
     def __enter__(self) -> Ears:
-        from agent.transport.bus import BusError
-        from deploy.session.operator_session import OperatorSession
+        from handfast.agent.transport.bus import BusError
+        from handfast.deploy.session.operator_session import OperatorSession
 
         try:
             session = OperatorSession(self._fleet, lambda: not self._interrupt.count)
@@ -187,7 +187,7 @@ class Ears:
 
     def older_mission(self) -> str:
         """What is to be said of a mission that is older than the last stop."""
-        from deploy.drive.preconditions import older_mission
+        from handfast.deploy.drive.preconditions import older_mission
 
         session = self.session
         if session is None or not session.statuses:
@@ -200,11 +200,11 @@ def _here(fleet: Fleet, known: KnownFleet, interrupt: Interrupt) -> Seen:
     """What is known of a fleet that runs on this machine.
 
     Raises:
-        deploy.inventory.running.NoAnswerError: none of its processes is there.
+        handfast.deploy.inventory.running.NoAnswerError: none of its processes is there.
     """
-    from agent.messages.key_expressions import ROLES
-    from deploy.hosts.status import process_row
-    from deploy.hosts.this_machine import logs_of, run_words, this_machine
+    from handfast.agent.messages.key_expressions import ROLES
+    from handfast.deploy.hosts.status import process_row
+    from handfast.deploy.hosts.this_machine import logs_of, run_words, this_machine
 
     with Ears(fleet, "", interrupt) as ears:
         ears.wait(lambda: interrupt.count > 0 or ears.know, LISTEN_S)
@@ -223,13 +223,19 @@ def _here(fleet: Fleet, known: KnownFleet, interrupt: Interrupt) -> Seen:
 
 def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: Interrupt) -> Seen:
     """What is known of a fleet (located) on these hosts of its; `what`: as the user named it."""
-    from deploy.hosts.artifacts import systemd_units
-    from deploy.hosts.connection import HostConnection
-    from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.status import HostStatus, expiries_on_hosts, host_status, process_row, router_rows
-    from deploy.hosts.view import FAILED as HOST_FAILED
-    from deploy.hosts.view import Row
-    from deploy.inventory.expiry import operators
+    from handfast.deploy.hosts.artifacts import systemd_units
+    from handfast.deploy.hosts.connection import HostConnection
+    from handfast.deploy.hosts.jobs import HostJobs
+    from handfast.deploy.hosts.status import (
+        HostStatus,
+        expiries_on_hosts,
+        host_status,
+        process_row,
+        router_rows,
+    )
+    from handfast.deploy.hosts.view import FAILED as HOST_FAILED
+    from handfast.deploy.hosts.view import Row
+    from handfast.deploy.inventory.expiry import operators
 
     found = {host.name: HostStatus() for host in hosts}
 
@@ -270,7 +276,7 @@ def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: 
 def _list(options: argparse.Namespace) -> int:
     if options.hosts or options.each:
         raise InputError("--host and --each need FLEET: name the fleet that is meant")
-    from deploy.inventory.known_fleets import NONE, known, unreadable
+    from handfast.deploy.inventory.known_fleets import NONE, known, unreadable
 
     rows, damaged = [fleet_row(fleet) for fleet in known()], unreadable()
     if options.json:
@@ -307,7 +313,7 @@ def fleet_row(fleet: KnownFleet) -> dict[str, Any]:
 
 
 def _state(run: Running) -> str:
-    from deploy.processes.table import PAUSED, state_of
+    from handfast.deploy.processes.table import PAUSED, state_of
 
     paused = " (PAUSED: `fg` there)" if state_of(run.pid) == PAUSED else ""
     return f"{'driven' if run.attached else 'running'}{paused}"

@@ -10,15 +10,22 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
-from deploy.console.interrupt import Interrupt
-from deploy.inventory.running import handled
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import (
+    InputError,
+    describe,
+    fleet_path,
+    host_argument,
+    load,
+    no_changes,
+)
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.inventory.running import handled
 
 if TYPE_CHECKING:
-    from deploy.hosts.certificates import HostKeys
-    from deploy.hosts.up import BringUp
+    from handfast.deploy.hosts.certificates import HostKeys
+    from handfast.deploy.hosts.up import BringUp
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,13 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _up(options: argparse.Namespace) -> int:
-    from deploy.drive.outcome import refuse_errors
-    from deploy.hosts.up import BringUp
-    from deploy.hosts.view import DONE as HOST_DONE
-    from deploy.hosts.view import make_hosts_view
-    from deploy.inventory.expiry import operators, warnings
-    from deploy.inventory.hosts import hosts_of, located, refuse_simulated
-    from deploy.inventory.operator_credentials import drop_earlier, keys_folder
+    from handfast.deploy.drive.outcome import refuse_errors
+    from handfast.deploy.hosts.up import BringUp
+    from handfast.deploy.hosts.view import DONE as HOST_DONE
+    from handfast.deploy.hosts.view import make_hosts_view
+    from handfast.deploy.inventory.expiry import operators, warnings
+    from handfast.deploy.inventory.hosts import hosts_of, located, refuse_simulated
+    from handfast.deploy.inventory.operator_credentials import drop_earlier, keys_folder
 
     fleet = load(options)
     interrupt = Interrupt()
@@ -99,7 +106,7 @@ class Notes:
 
     def up(self, hosts: Sequence[str], *, complete: bool) -> None:
         """It is up on these hosts, or is about to be."""
-        from deploy.inventory.fleets_up import note_up
+        from handfast.deploy.inventory.fleets_up import note_up
 
         try:
             if hosts:
@@ -114,12 +121,12 @@ class Notes:
 def _keys(fleet: Fleet, options: argparse.Namespace) -> Iterator[HostKeys]:
     """What gives robots their certificates, by the authority that `handfast keys` has made; with an
     operator's credentials alone, what leaves robots be that need none."""
-    from agent.security.certificates import CertificateError
-    from agent.security.credentials import AUTHORITY_CERTIFICATE
-    from agent.security.private_files import KeyFileError, exists, read
-    from deploy.hosts.certificates import HostKeys
-    from deploy.inventory.certificate_authority import Authority, AuthorityError
-    from deploy.inventory.operator_credentials import AUTHORITY_FILE, keys_folder
+    from handfast.agent.security.certificates import CertificateError
+    from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE
+    from handfast.agent.security.private_files import KeyFileError, exists, read
+    from handfast.deploy.hosts.certificates import HostKeys
+    from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError
+    from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, keys_folder
 
     name, what = fleet.fleet.name, options.fleet
     folder = keys_folder(name)
@@ -144,7 +151,7 @@ def _keys(fleet: Fleet, options: argparse.Namespace) -> Iterator[HostKeys]:
 
 def _say(work: BringUp, interrupt: Interrupt) -> int:
     """Says what became of each robot; the exit status."""
-    from deploy.hosts.view import DONE as HOST_DONE
+    from handfast.deploy.hosts.view import DONE as HOST_DONE
 
     for router in work.fleet.routers:
         row = work.rows.get(router.host or "")

@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from agent.common.exit import BAD_INPUT, PASSED
-from deploy.console.arguments import fleet_arguments, load_unresolved
+from handfast.agent.common.exit import BAD_INPUT, PASSED
+from handfast.deploy.console.arguments import fleet_arguments, load_unresolved
 
 if TYPE_CHECKING:
-    from agent.fleet.model import Fleet
-    from deploy.check.finding import Finding
+    from handfast.agent.fleet.model import Fleet
+    from handfast.deploy.check.finding import Finding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,8 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from deploy.check.check import check
-    from deploy.check.description import describe
+    from handfast.deploy.check.check import check
+    from handfast.deploy.check.description import describe
 
     fleet = load_unresolved(options)
     print(describe(fleet))
@@ -34,18 +34,18 @@ def _check(options: argparse.Namespace) -> int:
 
 def _of_this_machine(fleet: Fleet) -> Sequence[Finding]:
     """Whether this machine carries a fleet that `handfast run` would have on it, and has the cores for it."""
-    from deploy.check.capacity import check_capacity, is_looked_at
-    from deploy.check.realtime import check_cores
+    from handfast.deploy.check.capacity import check_capacity, is_looked_at
+    from handfast.deploy.check.realtime import check_cores
 
     if any(robot.host for robot in fleet.robots):
         return ()
     findings: list[Finding] = []
     if fleet.process.realtime and fleet.process.cpus:
-        from deploy.processes.machine import online
+        from handfast.deploy.processes.machine import online
 
         findings += check_cores(fleet, online())
     if is_looked_at(fleet):
-        from deploy.processes.machine import measured_for
+        from handfast.deploy.processes.machine import measured_for
 
         findings += check_capacity(fleet, measured_for(fleet))
     return findings

@@ -11,11 +11,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
-from agent.common.errors import packages_named
-from agent.common.exit import PASSED
-from agent.fleet.sections import LAWS
-from deploy.console.arguments import describe
-from deploy.console.data_files import FLEETS, SCENARIOS, bundled
+from handfast.agent.common.errors import packages_named
+from handfast.agent.common.exit import PASSED
+from handfast.agent.fleet.sections import LAWS
+from handfast.deploy.console.arguments import describe
+from handfast.deploy.console.data_files import FLEETS, SCENARIOS, bundled
 
 SHELLS: Final = ("bash", "zsh", "fish")
 _OPTIONS: Final = re.compile(r"\w+(\|\w+)+")
@@ -55,7 +55,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """
     import shtab
 
-    from deploy.report.export import FORMATS
+    from handfast.deploy.report.export import FORMATS
 
     values: dict[str, Complete] = {
         "FLEET": _one_of("fleet", bundled(FLEETS)),

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
 
-from agent.common.exit import PASSED
-from deploy.console.arguments import InputError, describe, place_for
+from handfast.agent.common.exit import PASSED
+from handfast.deploy.console.arguments import InputError, describe, place_for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,8 +61,8 @@ def _number(least: float, most: float) -> Callable[[str], float]:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from deploy.console.interrupt import Interrupt
-    from deploy.report.export import FILMS, export
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.report.export import FILMS, export
 
     if options.format not in FILMS and any((options.speed, options.fps, options.width)):
         raise InputError(f"--speed, --fps and --width belong to --format {' or '.join(FILMS)}")
@@ -78,9 +78,9 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _film(options: argparse.Namespace, folder: Path, out: Path) -> Path:
-    from deploy.recording.mcap_reader import read_run
-    from deploy.report.film import film
-    from deploy.verdict.run_result import RunResult
+    from handfast.deploy.recording.mcap_reader import read_run
+    from handfast.deploy.report.film import film
+    from handfast.deploy.verdict.run_result import RunResult
 
     if out.suffix.lower() != f".{options.format}":
         raise InputError(f"--out {out}: the name of this film must end in .{options.format}")

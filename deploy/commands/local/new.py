@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from agent.common.exit import PASSED
-from deploy.console.arguments import InputError
-from deploy.console.data_files import TEMPLATE
+from handfast.agent.common.exit import PASSED
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.console.data_files import TEMPLATE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _new(options: argparse.Namespace) -> int:
-    from agent.fleet.loading import parse_fleet
+    from handfast.agent.fleet.loading import parse_fleet
 
     path = Path(f"{options.name}.toml")
     text = _text(options)
@@ -42,7 +42,7 @@ def _new(options: argparse.Namespace) -> int:
 def _text(options: argparse.Namespace) -> str:
     if options.lattice is None:
         return TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)
-    from deploy.analysis.lattice import ROBOTS_MAX, ROBOTS_MIN, lattice
+    from handfast.deploy.analysis.lattice import ROBOTS_MAX, ROBOTS_MIN, lattice
 
     if not ROBOTS_MIN <= options.lattice <= ROBOTS_MAX:
         raise InputError(f"--lattice: must be {ROBOTS_MIN} to {ROBOTS_MAX} robots, got {options.lattice}")

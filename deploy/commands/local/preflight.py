@@ -6,14 +6,14 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Final
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError, describe, fleet_arguments, fleet_path, load
-from deploy.console.interrupt import Interrupt
-from deploy.inventory.running import handled
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import InputError, describe, fleet_arguments, fleet_path, load
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.inventory.running import handled
 
 if TYPE_CHECKING:
-    from deploy.drive.preflight import Found
+    from handfast.deploy.drive.preflight import Found
 
 
 _CHANGES: Final = ("overrides", "law", "faults", "duration", "seed", "orders")
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _preflight(options: argparse.Namespace) -> int:
-    from deploy.drive.preflight import passed, show, to_json, write_parameters
+    from handfast.deploy.drive.preflight import passed, show, to_json, write_parameters
 
     fleet = load(options)
     interrupt = Interrupt()
@@ -60,10 +60,10 @@ def _here(fleet: Fleet, interrupt: Interrupt) -> Found:
     """What bridges find that run on this machine for it.
 
     Raises:
-        agent.transport.bus.BusError: they cannot be heard.
+        handfast.agent.transport.bus.BusError: they cannot be heard.
     """
-    from deploy.drive.preflight import Preflight
-    from deploy.processes.placement import place
+    from handfast.deploy.drive.preflight import Preflight
+    from handfast.deploy.processes.placement import place
 
     placed, ports, vehicles = place(fleet)
     try:
@@ -79,8 +79,8 @@ def _on_hosts(options: argparse.Namespace, fleet: Fleet, interrupt: Interrupt) -
         InputError: the fleet is to be another one than those have read; nobody knows where a host is, or this
             operator may not hear them.
     """
-    from deploy.hosts.preflight import HostsPreflight
-    from deploy.inventory.hosts import located
+    from handfast.deploy.hosts.preflight import HostsPreflight
+    from handfast.deploy.inventory.hosts import located
 
     for name in _CHANGES:
         if getattr(options, name):

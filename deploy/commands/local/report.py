@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from agent.common.exit import INTERRUPTED
-from deploy.console.arguments import InputError, figures_argument
-from deploy.console.interrupt import Interrupt
-from deploy.drive.outcome import conclude, say_left_out
+from handfast.agent.common.exit import INTERRUPTED
+from handfast.deploy.console.arguments import InputError, figures_argument
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.drive.outcome import conclude, say_left_out
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,8 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from deploy.inventory.known_fleets import is_driven
-    from deploy.report.run_folder import rebuild
+    from handfast.deploy.inventory.known_fleets import is_driven
+    from handfast.deploy.report.run_folder import rebuild
 
     folder, interrupt = Path(options.folder), Interrupt()
     if is_driven(folder):

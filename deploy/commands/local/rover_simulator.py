@@ -7,6 +7,6 @@ from collections.abc import Sequence
 
 def run(arguments: Sequence[str]) -> int:
     """Runs the command; the simulator reads its arguments by itself. Returns the exit status."""
-    from bridges.mavlink.simulator.__main__ import main
+    from handfast.bridges.mavlink.simulator.__main__ import main
 
     return main(arguments)

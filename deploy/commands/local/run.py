@@ -6,10 +6,10 @@ import argparse
 import sys
 from contextlib import suppress
 
-from agent.common.exit import FAILED
-from agent.fleet.mavlink_section import SHARED_LINKS, MavlinkSection
-from agent.fleet.model import Fleet
-from deploy.console.arguments import (
+from handfast.agent.common.exit import FAILED
+from handfast.agent.fleet.mavlink_section import SHARED_LINKS, MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import (
     InputError,
     drive_arguments,
     fleet_arguments,
@@ -17,8 +17,8 @@ from deploy.console.arguments import (
     load,
     view_argument,
 )
-from deploy.console.interrupt import NOT_STARTED, Interrupt
-from deploy.drive.outcome import finish, refuse_errors, run_folder
+from handfast.deploy.console.interrupt import NOT_STARTED, Interrupt
+from handfast.deploy.drive.outcome import finish, refuse_errors, run_folder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,12 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from agent.transport.bus import BusError
-    from deploy.drive.display.live_view import make_view
-    from deploy.drive.local import LocalRun
-    from deploy.processes.placement import place
-    from deploy.recording.recorder import RecordingError
-    from deploy.view.beside import PageBeside
+    from handfast.agent.transport.bus import BusError
+    from handfast.deploy.drive.display.live_view import make_view
+    from handfast.deploy.drive.local import LocalRun
+    from handfast.deploy.processes.placement import place
+    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.view.beside import PageBeside
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -90,11 +90,11 @@ def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
     Raises:
         InputError: these are more, and the options do not say to drive all the same.
     """
-    from deploy.check.capacity import describe_capacity, is_looked_at, overload
+    from handfast.deploy.check.capacity import describe_capacity, is_looked_at, overload
 
     if not is_looked_at(fleet):
         return
-    from deploy.processes.machine import measured, measured_for
+    from handfast.deploy.processes.machine import measured, measured_for
 
     machine = measured_for(fleet) if options.check else measured()
     text = overload(fleet, machine)

@@ -7,11 +7,11 @@ import sys
 import time
 from typing import Final
 
-from agent.common.exit import FAILED
-from agent.common.time import NS_PER_S
-from deploy.console.arguments import drive_arguments, fleet_arguments, load
-from deploy.console.interrupt import NOT_STARTED, Interrupt
-from deploy.drive.outcome import finish, refuse_errors, run_folder
+from handfast.agent.common.exit import FAILED
+from handfast.agent.common.time import NS_PER_S
+from handfast.deploy.console.arguments import drive_arguments, fleet_arguments, load
+from handfast.deploy.console.interrupt import NOT_STARTED, Interrupt
+from handfast.deploy.drive.outcome import finish, refuse_errors, run_folder
 
 WAITING_MAX: Final = 2000
 """So many messages wait at most before they are recorded."""
@@ -25,11 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from agent.formation.geometry import resolve
-    from deploy.drive.display.live_view import make_view
-    from deploy.drive.watch import Watch
-    from deploy.recording.recorder import RecordingError
-    from deploy.simulate.simulation import Simulation
+    from handfast.agent.formation.geometry import resolve
+    from handfast.deploy.drive.display.live_view import make_view
+    from handfast.deploy.drive.watch import Watch
+    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.simulate.simulation import Simulation
 
     interrupt = Interrupt()
     with interrupt.caught():

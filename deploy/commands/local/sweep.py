@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.common.wording import printable
-from agent.fleet.model import FleetError
-from deploy.console.arguments import (
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import FleetError
+from handfast.deploy.console.arguments import (
     accepts_new_keys,
     change_arguments,
     cluster_wait_s,
@@ -27,10 +27,10 @@ from deploy.console.arguments import (
 )
 
 if TYPE_CHECKING:
-    from deploy.simulate.worker_pool import Work
-    from deploy.sweep.folder import SweepFolder
-    from deploy.sweep.plan import Plan, Question
-    from deploy.sweep.run import Row
+    from handfast.deploy.simulate.worker_pool import Work
+    from handfast.deploy.sweep.folder import SweepFolder
+    from handfast.deploy.sweep.plan import Plan, Question
+    from handfast.deploy.sweep.run import Row
 
 TIMEOUT: Final = "10min"
 ROWS_MAX: Final = 40
@@ -89,15 +89,15 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
-    from deploy.cluster.choose import check_cluster
-    from deploy.cluster.same_program import program_digest
-    from deploy.console.interrupt import NOT_STARTED, Interrupt
-    from deploy.inventory.folders import out_folder
-    from deploy.simulate.worker_pool import EngineLost, cores
-    from deploy.sweep.folder import SweepFolder, read_digest
-    from deploy.sweep.plan import make_plan
-    from deploy.sweep.summary import margin_axis
-    from deploy.sweep.varied import SweepError
+    from handfast.deploy.cluster.choose import check_cluster
+    from handfast.deploy.cluster.same_program import program_digest
+    from handfast.deploy.console.interrupt import NOT_STARTED, Interrupt
+    from handfast.deploy.inventory.folders import out_folder
+    from handfast.deploy.simulate.worker_pool import EngineLost, cores
+    from handfast.deploy.sweep.folder import SweepFolder, read_digest
+    from handfast.deploy.sweep.plan import make_plan
+    from handfast.deploy.sweep.summary import margin_axis
+    from handfast.deploy.sweep.varied import SweepError
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -154,9 +154,9 @@ def sweep(options: argparse.Namespace) -> int:
 
 def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     """What is asked, and the folder of the sweep that asks it when one is gone on with."""
-    from deploy.sweep.folder import SWEEP_FILE, read_question
-    from deploy.sweep.plan import Question
-    from deploy.sweep.varied import Axis, Range, SweepError, parse_over
+    from handfast.deploy.sweep.folder import SWEEP_FILE, read_question
+    from handfast.deploy.sweep.plan import Question
+    from handfast.deploy.sweep.varied import Axis, Range, SweepError, parse_over
 
     folder = Path(options.fleet)
     if folder.is_dir():
@@ -186,7 +186,7 @@ def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
 
 
 def _quantity(text: str, unit: str, option: str, example: str) -> float:
-    from deploy.sweep.varied import SweepError, number
+    from handfast.deploy.sweep.varied import SweepError, number
 
     value = number(text, unit)
     if value is None or value <= 0.0:
@@ -196,8 +196,8 @@ def _quantity(text: str, unit: str, option: str, example: str) -> float:
 
 def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
     """Says what `check` finds wrong in any cell; errors end the command unless an option says otherwise."""
-    from deploy.check.check import check
-    from deploy.sweep.varied import SweepError
+    from handfast.deploy.check.check import check
+    from handfast.deploy.sweep.varied import SweepError
 
     found: dict[tuple[str, str], tuple[str, list[int]]] = {}
     for cell in range(len(plan.cells)):
@@ -227,8 +227,8 @@ def _write(folder: SweepFolder, run: int) -> int:
     """Writes the fleet file of one run beside the results."""
     import tomli_w
 
-    from agent.fleet.loading import to_dict
-    from deploy.sweep.varied import SweepError
+    from handfast.agent.fleet.loading import to_dict
+    from handfast.deploy.sweep.varied import SweepError
 
     plan = folder.plan
     if not 0 <= run < plan.runs:
@@ -259,10 +259,10 @@ def _drive(
     options: argparse.Namespace,
 ) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
-    from deploy.cluster.choose import make_engine
-    from deploy.cluster.same_program import SameProgram
-    from deploy.console.progress import make_progress
-    from deploy.sweep.run import Runs
+    from handfast.deploy.cluster.choose import make_engine
+    from handfast.deploy.cluster.same_program import SameProgram
+    from handfast.deploy.console.progress import make_progress
+    from handfast.deploy.sweep.run import Runs
 
     missing = folder.missing
     if not missing:
@@ -303,12 +303,12 @@ def _drive(
 
 def _conclude(folder: SweepFolder, margin: int | None) -> None:
     """Writes summary and pictures, and says what was found."""
-    from deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim
-    from deploy.sweep.figures import write_sweep_figures
-    from deploy.sweep.folder import csv_bytes, replace_file
-    from deploy.sweep.summary import margins, shown, summarise, summary_json, summary_table
-    from deploy.sweep.varied import SweepError
-    from deploy.verdict.reasons import of_fault
+    from handfast.deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim
+    from handfast.deploy.sweep.figures import write_sweep_figures
+    from handfast.deploy.sweep.folder import csv_bytes, replace_file
+    from handfast.deploy.sweep.summary import margins, shown, summarise, summary_json, summary_table
+    from handfast.deploy.sweep.varied import SweepError
+    from handfast.deploy.verdict.reasons import of_fault
 
     plan = folder.plan
     cells = summarise(plan, folder.rows)

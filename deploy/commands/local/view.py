@@ -11,16 +11,16 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.exit import INTERRUPTED
-from agent.fleet.model import FleetError
-from deploy.console.arguments import InputError, describe
-from deploy.console.interrupt import as_python_does
-from deploy.inventory.running import NoAnswerError, handled
-from deploy.recording.run_files import RECORDING_FILE
+from handfast.agent.common.exit import INTERRUPTED
+from handfast.agent.fleet.model import FleetError
+from handfast.deploy.console.arguments import InputError, describe
+from handfast.deploy.console.interrupt import as_python_does
+from handfast.deploy.inventory.running import NoAnswerError, handled
+from handfast.deploy.recording.run_files import RECORDING_FILE
 
 if TYPE_CHECKING:
-    from deploy.view.live import LiveServer
-    from deploy.view.server import Answer
+    from handfast.deploy.view.live import LiveServer
+    from handfast.deploy.view.server import Answer
 
 RETRY_S: Final = 0.2
 FOXGLOVE_PORT: Final = 8765
@@ -72,7 +72,7 @@ def _port(text: str) -> int:
 def _view(options: argparse.Namespace) -> int:
     if options.beside:
         return _started(options)
-    from deploy.inventory.known_fleets import is_driven
+    from handfast.deploy.inventory.known_fleets import is_driven
 
     folder = Path(options.what)
     if not folder.is_dir() or is_driven(folder) or _is_fleet(options.what):
@@ -89,18 +89,18 @@ def _view(options: argparse.Namespace) -> int:
 
 def _is_fleet(what: str) -> bool:
     """Whether it is the name of a fleet, which a folder happens to have too."""
-    from deploy.console.data_files import FLEETS, bundled
-    from deploy.inventory.known_fleets import known
+    from handfast.deploy.console.data_files import FLEETS, bundled
+    from handfast.deploy.inventory.known_fleets import known
 
     return not (Path(what) / RECORDING_FILE).exists() and (what in bundled(FLEETS) or bool(known(what)))
 
 
 def _recorded(options: argparse.Namespace, folder: Path) -> int:
-    from deploy.playback.page import served_policy
-    from deploy.recording.mcap_reader import read_run
-    from deploy.verdict.run_result import RunResult
-    from deploy.view.recorded import answers
-    from deploy.view.server import Server
+    from handfast.deploy.playback.page import served_policy
+    from handfast.deploy.recording.mcap_reader import read_run
+    from handfast.deploy.verdict.run_result import RunResult
+    from handfast.deploy.view.recorded import answers
+    from handfast.deploy.view.server import Server
 
     print(f"reading {options.what}", file=sys.stderr)
     recording = read_run(folder)
@@ -118,15 +118,15 @@ def _recorded(options: argparse.Namespace, folder: Path) -> int:
 
 
 def _live(options: argparse.Namespace) -> int:
-    from agent.formation.geometry import resolved
-    from deploy.commands.running.ways import ways
-    from deploy.inventory.known_fleets import find
-    from deploy.inventory.running import as_running
-    from deploy.session.operator_bus import operator_bus
-    from deploy.session.session import Session, connected
-    from deploy.view.certificate import address_of, tls_of
-    from deploy.view.live import LiveServer
-    from deploy.view.server import LOOPBACK
+    from handfast.agent.formation.geometry import resolved
+    from handfast.deploy.commands.running.ways import ways
+    from handfast.deploy.inventory.known_fleets import find
+    from handfast.deploy.inventory.running import as_running
+    from handfast.deploy.session.operator_bus import operator_bus
+    from handfast.deploy.session.session import Session, connected
+    from handfast.deploy.view.certificate import address_of, tls_of
+    from handfast.deploy.view.live import LiveServer
+    from handfast.deploy.view.server import LOOPBACK
 
     known = find(options.what)
     fleet = resolved(as_running(known))
@@ -158,7 +158,7 @@ def _serve_foxglove(options: argparse.Namespace, server: LiveServer, stack: Exit
     Raises:
         InputError: the port is taken.
     """
-    from deploy.view.foxglove import FoxgloveServer, ServeError, layout_path
+    from handfast.deploy.view.foxglove import FoxgloveServer, ServeError, layout_path
 
     try:
         foxglove = FoxgloveServer(server.live.fleet, options.foxglove)
@@ -173,8 +173,8 @@ def _serve_foxglove(options: argparse.Namespace, server: LiveServer, stack: Exit
 def _started(options: argparse.Namespace) -> int:
     """The page of a run that another command begins now: waits until its fleet is there, or that command is
     not."""
-    from agent.transport.bus import BusError
-    from deploy.inventory.known_fleets import NotRunningError
+    from handfast.agent.transport.bus import BusError
+    from handfast.deploy.inventory.known_fleets import NotRunningError
 
     while not select.select([sys.stdin], [], [], RETRY_S)[0]:
         with suppress(NoAnswerError, NotRunningError, BusError, FleetError):
@@ -186,7 +186,7 @@ async def _beside(folder: Path, server: LiveServer) -> None:
     """Serves the page of a run: the fleet, and, as its command says that it is over, the recording."""
     import asyncio
 
-    from deploy.view.beside import OVER, RECORDED
+    from handfast.deploy.view.beside import OVER, RECORDED
 
     loop = asyncio.get_running_loop()
     serving = asyncio.create_task(server.serve())
@@ -205,9 +205,9 @@ async def _beside(folder: Path, server: LiveServer) -> None:
 
 
 def _answers(folder: Path) -> Answer:
-    from deploy.recording.mcap_reader import read_run
-    from deploy.verdict.run_result import RunResult
-    from deploy.view.recorded import answers
+    from handfast.deploy.recording.mcap_reader import read_run
+    from handfast.deploy.verdict.run_result import RunResult
+    from handfast.deploy.view.recorded import answers
 
     return answers(RunResult(read_run(folder)))
 
@@ -222,7 +222,7 @@ def _serve(options: argparse.Namespace, address: str, serving: Coroutine[Any, An
     """Serves until Ctrl-C."""
     import asyncio
 
-    from deploy.view.browser import open_browser
+    from handfast.deploy.view.browser import open_browser
 
     try:
         print(f"{address}  (Ctrl-C ends it)", flush=True)

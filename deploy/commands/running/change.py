@@ -6,14 +6,14 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.exit import FAILED, PASSED
-from agent.fleet.orders import ORDER_FIELDS, OrderSection
-from deploy.console.arguments import InputError, describe, fleet_path
-from deploy.inventory.running import MEANING, handled, running_fleet
-from deploy.orders.options import OPTIONS, order_of_options, shape_tables
+from handfast.agent.common.exit import FAILED, PASSED
+from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection
+from handfast.deploy.console.arguments import InputError, describe, fleet_path
+from handfast.deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.deploy.orders.options import OPTIONS, order_of_options, shape_tables
 
 if TYPE_CHECKING:
-    from agent.formation.mission_plan import Plan
+    from handfast.agent.formation.mission_plan import Plan
 
 EXIT: Final = (
     "All robots start the change at the same time, a second from now. Exit status: 0 all robots have "
@@ -78,10 +78,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _change(options: argparse.Namespace) -> int:
     """Give the order, and print what becomes of it."""
-    from deploy.orders.mission_editing import OrderError
-    from deploy.orders.mission_outcome import words
-    from deploy.session.order import OrderSession
-    from deploy.session.session import connected
+    from handfast.deploy.orders.mission_editing import OrderError
+    from handfast.deploy.orders.mission_outcome import words
+    from handfast.deploy.session.order import OrderSession
+    from handfast.deploy.session.session import connected
 
     given = {
         name.removeprefix("order."): ",".join(value) if isinstance(value, list) else value
@@ -115,7 +115,7 @@ def _change(options: argparse.Namespace) -> int:
 def _tables(source: str | None) -> Mapping[str, Any] | None:
     if source is None:
         return None
-    from agent.fleet.loading import fleet_tables, read_text
+    from handfast.agent.fleet.loading import fleet_tables, read_text
 
     path = fleet_path(source)
     return fleet_tables(read_text(path, "fleet file"), str(path))

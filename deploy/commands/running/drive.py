@@ -9,10 +9,10 @@ from contextlib import suppress
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from deploy.console.arguments import (
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import (
     InputError,
     describe,
     fleet_path,
@@ -20,16 +20,16 @@ from deploy.console.arguments import (
     report_arguments,
     view_argument,
 )
-from deploy.drive.outcome import finish, refuse_errors, run_folder
-from deploy.inventory.running import handled
+from handfast.deploy.drive.outcome import finish, refuse_errors, run_folder
+from handfast.deploy.inventory.running import handled
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from deploy.console.interrupt import Interrupt
-    from deploy.inventory.registry import Registration
-    from deploy.report.run_folder import RunFolder
-    from deploy.view.beside import PageBeside
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.inventory.registry import Registration
+    from handfast.deploy.report.run_folder import RunFolder
+    from handfast.deploy.view.beside import PageBeside
 
 ROBOTS_FILE: Final = "robots.toml"
 """The fleet as its robots read it, for commands such as `handfast stop`. The folder's ``fleet.toml`` is what
@@ -89,8 +89,8 @@ class _Fixed(argparse.Action):
 
 
 def _drive(options: argparse.Namespace) -> int:
-    from deploy.console.interrupt import Interrupt
-    from deploy.drive.attached import refused
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.drive.attached import refused
 
     options.given_ns = time.time_ns()
     fleet, driven = _fleets(options)
@@ -107,7 +107,7 @@ def _drive(options: argparse.Namespace) -> int:
         if options.detach:
             return _detach(options, fleet, driven, interrupt)
         folder = run_folder(options, driven, "run")
-        from deploy.view.beside import PageBeside
+        from handfast.deploy.view.beside import PageBeside
 
         with PageBeside(folder.path, interrupt, wanted=options.view) as page:
             return _attend(options, fleet, driven, folder, interrupt, page)
@@ -115,7 +115,7 @@ def _drive(options: argparse.Namespace) -> int:
 
 def _warn_of_certificates(options: argparse.Namespace, fleet: Fleet) -> None:
     """Says which certificates end soon, as far as this machine knows."""
-    from deploy.inventory.expiry import operators, robots_by_index, warnings
+    from handfast.deploy.inventory.expiry import operators, robots_by_index, warnings
 
     now_s = time.time()
     for text in warnings((*operators(fleet, options.fleet), *robots_by_index(fleet, options.fleet)), now_s):
@@ -126,16 +126,16 @@ def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
     """The fleet as its robots read it, and as it is to be driven.
 
     Raises:
-        InputError, agent.fleet.model.FleetError: it cannot be.
+        InputError, handfast.agent.fleet.model.FleetError: it cannot be.
     """
-    from agent.formation.geometry import resolved
+    from handfast.agent.formation.geometry import resolved
 
     path = fleet_path(options.fleet)
     changes = [] if options.duration is None else [f"fleet.duration_s={options.duration}"]
     fleet = resolved(load_fleet(path))
     driven = resolved(load_fleet(path, changes, orders=options.orders))
     if any(robot.host is not None for robot in fleet.robots):
-        from deploy.inventory.hosts import located
+        from handfast.deploy.inventory.hosts import located
 
         fleet = located(fleet)
     return fleet, driven
@@ -143,8 +143,8 @@ def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
 
 def _refuse_what_cannot_be(options: argparse.Namespace, driven: Fleet) -> None:
     """`InputError` for what only `run` can do, and for what nobody would do after `--detach`."""
-    from agent.links.fault_plan import FaultPlan
-    from deploy.faults.process_actions import actions
+    from handfast.agent.links.fault_plan import FaultPlan
+    from handfast.deploy.faults.process_actions import actions
 
     plan = actions(FaultPlan(driven).file_rules(), driven.ids, driven.fleet.duration_s)
     if plan:
@@ -178,14 +178,14 @@ def _attend(
     page: PageBeside,
 ) -> int:
     """Drives it to the end, and reports."""
-    from agent.transport.bus import BusError
-    from deploy.commands.running.ways import by_ssh
-    from deploy.drive.attached import Attached
-    from deploy.drive.display.live_view import make_view
-    from deploy.drive.drive import Drive
-    from deploy.drive.preconditions import BROKEN_OFF
-    from deploy.recording.recorder import RecordingError
-    from deploy.session.operator_bus import operator_bus
+    from handfast.agent.transport.bus import BusError
+    from handfast.deploy.commands.running.ways import by_ssh
+    from handfast.deploy.drive.attached import Attached
+    from handfast.deploy.drive.display.live_view import make_view
+    from handfast.deploy.drive.drive import Drive
+    from handfast.deploy.drive.preconditions import BROKEN_OFF
+    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.session.operator_bus import operator_bus
 
     view, processes = make_view(quiet=options.quiet), Attached(fleet)
     try:
@@ -220,13 +220,13 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
     Raises:
         InputError: a file cannot be written.
-        agent.runtime.runtime_folder.NotPrivateError: see there.
+        handfast.agent.runtime.runtime_folder.NotPrivateError: see there.
     """
     import tomli_w
 
-    from agent.fleet.loading import to_dict
-    from agent.runtime.runtime_folder import NotPrivateError
-    from deploy.inventory.registry import Registration
+    from handfast.agent.fleet.loading import to_dict
+    from handfast.agent.runtime.runtime_folder import NotPrivateError
+    from handfast.deploy.inventory.registry import Registration
 
     path = folder / ROBOTS_FILE
     try:
@@ -241,13 +241,13 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
 def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt: Interrupt) -> int:
     """Gives the mission and ends, while the robots drive on."""
-    from deploy.commands.running.ways import by_ssh
-    from deploy.drive.attached import Attached
-    from deploy.drive.display.live_view import make_view
-    from deploy.drive.drive import Drive
-    from deploy.drive.preconditions import clock
-    from deploy.session.operator_bus import operator_bus
-    from deploy.session.session import valid
+    from handfast.deploy.commands.running.ways import by_ssh
+    from handfast.deploy.drive.attached import Attached
+    from handfast.deploy.drive.display.live_view import make_view
+    from handfast.deploy.drive.drive import Drive
+    from handfast.deploy.drive.preconditions import clock
+    from handfast.deploy.session.operator_bus import operator_bus
+    from handfast.deploy.session.session import valid
 
     view = make_view(quiet=options.quiet)
     with view, operator_bus(fleet) as bus:

@@ -8,23 +8,23 @@ from collections.abc import Callable, Sequence
 from math import isinf
 from typing import TYPE_CHECKING, Literal, get_args, get_origin
 
-from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import read_text
-from agent.fleet.model import Fleet
-from deploy.console.arguments import InputError, describe, scenario_path
-from deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import read_text
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.arguments import InputError, describe, scenario_path
+from handfast.deploy.inventory.running import MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
-    from agent.common.settings import Entry
-    from agent.fleet.fault_rules import Rule
-    from deploy.console.interrupt import Interrupt
-    from deploy.session.faults import FaultsSession
+    from handfast.agent.common.settings import Entry
+    from handfast.agent.fleet.fault_rules import Rule
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.session.faults import FaultsSession
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast faults`` takes."""
-    from deploy.faults.live_rules import NOT_LIVE, live_entries, option
+    from handfast.deploy.faults.live_rules import NOT_LIVE, live_entries, option
 
     describe(
         parser,
@@ -84,7 +84,7 @@ def _dest(key: str) -> str:
 
 
 def _set(options: argparse.Namespace) -> int:
-    from deploy.faults.live_rules import rule_of_options
+    from handfast.deploy.faults.live_rules import rule_of_options
 
     fleet = running_fleet(options.fleet)
     given = {
@@ -96,7 +96,7 @@ def _set(options: argparse.Namespace) -> int:
 
 
 def _apply(options: argparse.Namespace) -> int:
-    from deploy.faults.live_rules import rules_of_scenario
+    from handfast.deploy.faults.live_rules import rules_of_scenario
 
     fleet = running_fleet(options.fleet)
     path = scenario_path(options.file)
@@ -106,9 +106,9 @@ def _apply(options: argparse.Namespace) -> int:
 
 def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
     """Sends the rules, and keeps them in force until they end."""
-    from deploy.console.interrupt import Interrupt
-    from deploy.faults.live_rules import text_of
-    from deploy.session.fault_injection import Putting, names
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.faults.live_rules import text_of
+    from handfast.deploy.session.fault_injection import Putting, names
 
     text = text_of(rules)
     interrupt = Interrupt()
@@ -128,8 +128,8 @@ def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
 
 def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSession:
     """A session in which all receivers are there, or as many as came; raises as `connected`."""
-    from deploy.session.faults import FaultsSession
-    from deploy.session.session import connected
+    from handfast.deploy.session.faults import FaultsSession
+    from handfast.deploy.session.session import connected
 
     return connected(FaultsSession(fleet), interrupt)
 
@@ -138,9 +138,9 @@ def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSessio
 
 
 def _show(options: argparse.Namespace) -> int:
-    from agent.links.fault_plan import FaultPlan
-    from deploy.faults.wording import defaults
-    from deploy.session.fault_injection import ECHO_S, names
+    from handfast.agent.links.fault_plan import FaultPlan
+    from handfast.deploy.faults.wording import defaults
+    from handfast.deploy.session.fault_injection import ECHO_S, names
 
     fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:
@@ -174,7 +174,7 @@ def _show(options: argparse.Namespace) -> int:
 
 def _line_of(rule: Rule, time_s: float | None) -> str:
     """A rule and how it stands at the time that its `at` counts in; None before that is known."""
-    from deploy.faults.wording import next_begin, window, words
+    from handfast.deploy.faults.wording import next_begin, window, words
 
     if time_s is None:
         always = rule.at is None and rule.duration is None
@@ -188,7 +188,7 @@ def _line_of(rule: Rule, time_s: float | None) -> str:
 
 
 def _clear(options: argparse.Namespace) -> int:
-    from deploy.session.fault_injection import NothingToClearError, clear, names
+    from handfast.deploy.session.fault_injection import NothingToClearError, clear, names
 
     fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:

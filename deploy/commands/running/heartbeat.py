@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 
-from agent.common.exit import PASSED
-from deploy.console.arguments import InputError, describe
-from deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.agent.common.exit import PASSED
+from handfast.deploy.console.arguments import InputError, describe
+from handfast.deploy.inventory.running import MEANING, handled, running_fleet
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _heartbeat(options: argparse.Namespace) -> int:
-    from deploy.console.interrupt import Interrupt
-    from deploy.session.heartbeat import beat
+    from handfast.deploy.console.interrupt import Interrupt
+    from handfast.deploy.session.heartbeat import beat
 
     fleet = running_fleet(options.fleet)
     deadman_s = fleet.supervision.deadman_s

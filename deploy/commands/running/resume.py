@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import time
 
-from agent.common.exit import FAILED, PASSED
-from deploy.console.arguments import describe, robots_argument, robots_named
-from deploy.console.wording import robots as some_robots
-from deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.agent.common.exit import FAILED, PASSED
+from handfast.deploy.console.arguments import describe, robots_argument, robots_named
+from handfast.deploy.console.wording import robots as some_robots
+from handfast.deploy.inventory.running import MEANING, handled, running_fleet
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _resume(options: argparse.Namespace) -> int:
-    from deploy.drive.preconditions import under_way
-    from deploy.session.resume import resume
+    from handfast.deploy.drive.preconditions import under_way
+    from handfast.deploy.session.resume import resume
 
     given_ns = time.time_ns()
     fleet = running_fleet(options.fleet)

@@ -8,14 +8,14 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from shlex import quote
 from typing import TYPE_CHECKING, Final
 
-from agent.common.exit import FAILED, PASSED
-from agent.common.wording import printable
-from agent.fleet.model import Fleet, FleetError
-from deploy.console.arguments import InputError, describe
-from deploy.inventory.running import MEANING, NoAnswerError, as_running, handled
+from handfast.agent.common.exit import FAILED, PASSED
+from handfast.agent.common.wording import printable
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.deploy.console.arguments import InputError, describe
+from handfast.deploy.inventory.running import MEANING, NoAnswerError, as_running, handled
 
 if TYPE_CHECKING:
-    from deploy.inventory.known_fleets import KnownFleet
+    from handfast.deploy.inventory.known_fleets import KnownFleet
 
 
 CUT_SHORT: Final = (
@@ -57,7 +57,7 @@ def _stop(options: argparse.Namespace) -> int:
 
 
 def _stopped(options: argparse.Namespace) -> int:
-    from deploy.inventory.known_fleets import NONE, NotRunningError, SeveralError, find, known, meant
+    from handfast.deploy.inventory.known_fleets import NONE, NotRunningError, SeveralError, find, known, meant
 
     if options.all:
         fleets = known() if options.fleet is None else meant(options.fleet)
@@ -83,9 +83,9 @@ def _stopped(options: argparse.Namespace) -> int:
 
 def _outcome(fleet: Fleet, options: argparse.Namespace) -> tuple[list[str], bool]:
     """What became of a stop, in words, and whether all brake; raises as `deploy.session.stop.stop`."""
-    from deploy.commands.running.ways import ways
-    from deploy.drive.preconditions import somebodys
-    from deploy.session.stop import stop
+    from handfast.deploy.commands.running.ways import ways
+    from handfast.deploy.drive.preconditions import somebodys
+    from handfast.deploy.session.stop import stop
 
     stopping, troubles = stop(fleet, somebodys(options.reason), ways(fleet))
     said = [] if stopping.done else [printable(trouble) for trouble in troubles]
@@ -94,8 +94,8 @@ def _outcome(fleet: Fleet, options: argparse.Namespace) -> tuple[list[str], bool
 
 def _stop_all(fleets: list[KnownFleet], options: argparse.Namespace) -> int:
     """Stops them side by side, so that none waits for another, and says of each what came of it."""
-    from agent.transport.bus import BusError
-    from deploy.inventory.known_fleets import NotRunningError
+    from handfast.agent.transport.bus import BusError
+    from handfast.deploy.inventory.known_fleets import NotRunningError
 
     def one(fleet: KnownFleet) -> tuple[list[str], bool]:
         try:
@@ -116,7 +116,7 @@ def _stop_all(fleets: list[KnownFleet], options: argparse.Namespace) -> int:
 
 def _say_unreadable() -> int:
     """Says what cannot be stopped, as it is not known what it is."""
-    from deploy.inventory.known_fleets import unreadable
+    from handfast.deploy.inventory.known_fleets import unreadable
 
     lines = unreadable()
     for line in lines:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from agent.fleet.model import Fleet
-from deploy.processes.placement import orders_folder
-from deploy.session.live_operators import LiveWay
-from deploy.session.stop import Way
-from deploy.session.stop_by_file import FileWay
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.processes.placement import orders_folder
+from handfast.deploy.session.live_operators import LiveWay
+from handfast.deploy.session.stop import Way
+from handfast.deploy.session.stop_by_file import FileWay
 
 
 def ways(fleet: Fleet) -> list[Way]:
@@ -21,6 +21,6 @@ def by_ssh(fleet: Fleet) -> list[Way]:
     hosts = [host for host in fleet.hosts if any(robot.host == host.name for robot in fleet.robots)]
     if not hosts:
         return []
-    from deploy.hosts.stop_by_ssh import SshWay
+    from handfast.deploy.hosts.stop_by_ssh import SshWay
 
     return [SshWay(fleet, hosts)]

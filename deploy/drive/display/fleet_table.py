@@ -11,12 +11,12 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from agent.common.wording import printable
-from agent.supervision.state_machine import State
-from deploy.console.wording import some
-from deploy.drive.display.picture_wording import clock_words
-from deploy.drive.vehicle_checks import BLOCKING, WARNING
-from deploy.drive.watch import RobotPicture
+from handfast.agent.common.wording import printable
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.console.wording import some
+from handfast.deploy.drive.display.picture_wording import clock_words
+from handfast.deploy.drive.vehicle_checks import BLOCKING, WARNING
+from handfast.deploy.drive.watch import RobotPicture
 
 STYLES: Final = {
     State.RUNNING.value: "green",

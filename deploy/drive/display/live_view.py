@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from typing import Protocol, TextIO
 
-from deploy.analysis.silent_bodies import in_words
-from deploy.console.views import LinesView, Speaker
-from deploy.drive.display.picture_wording import REASONS_MAX, faults_line, summary
-from deploy.drive.watch import Picture
+from handfast.deploy.analysis.silent_bodies import in_words
+from handfast.deploy.console.views import LinesView, Speaker
+from handfast.deploy.drive.display.picture_wording import REASONS_MAX, faults_line, summary
+from handfast.deploy.drive.watch import Picture
 
 
 class View(Speaker, Protocol):
@@ -27,7 +27,7 @@ def make_view(stream: TextIO | None = None, *, quiet: bool = False, period_s: fl
     stream = sys.stderr if stream is None else stream
     if quiet or not stream.isatty():
         return Lines(stream, quiet=quiet, period_s=period_s)
-    from deploy.drive.display.terminal_view import Terminal  # loads Rich
+    from handfast.deploy.drive.display.terminal_view import Terminal  # loads Rich
 
     return Terminal(stream)
 

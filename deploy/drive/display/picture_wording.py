@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
-from agent.supervision.state_machine import State
-from deploy.console.wording import NAMES_SHOWN, some
-from deploy.drive.watch import Picture, RobotPicture
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.console.wording import NAMES_SHOWN, some
+from handfast.deploy.drive.watch import Picture, RobotPicture
 
 REASONS_MAX: Final = 3
 """Robots that are released, lag, or are silent, of which more is said than their numbers."""

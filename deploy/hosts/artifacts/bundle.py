@@ -28,15 +28,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
-from agent.runtime.version import handfast_version
-from deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
-from deploy.hosts.artifacts.compiled_wheel import NAME, compiled_modules, runs_here, wheel
-from deploy.hosts.artifacts.plugin_files import plugin_files
-from deploy.inventory.folders import cache_folder
+from handfast.agent.runtime.version import handfast_version
+from handfast.deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
+from handfast.deploy.hosts.artifacts.compiled_wheel import NAME, compiled_modules, runs_here, wheel
+from handfast.deploy.hosts.artifacts.plugin_files import plugin_files
+from handfast.deploy.inventory.folders import cache_folder
 
-PACKAGES: Final = ("agent", "plant", "bridges")
+PACKAGES: Final = ("handfast/agent", "handfast/plant", "handfast/bridges")
 """What a robot runs; `deploy` is the operator's."""
-MODULE: Final = "handfast.py"
+MODULE: Final = "handfast/__init__.py"
 """What laws and plants of one's own import."""
 PLUGINS: Final = "handfast_plugins.txt"
 """Modules of plugins that are sent along, a line each; the installation imports them once."""
@@ -261,7 +261,7 @@ def program_archive(modules: tuple[str, ...] = (), packages: tuple[str, ...] = P
         packages: those of ours that go.
 
     Raises:
-        deploy.hosts.artifacts.plugin_files.PluginFilesError: a plugin cannot be sent.
+        handfast.deploy.hosts.artifacts.plugin_files.PluginFilesError: a plugin cannot be sent.
     """
     memory = BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
@@ -278,7 +278,7 @@ def _contents(modules: tuple[str, ...], packages: tuple[str, ...]) -> Iterator[t
             if path.is_file() and path.suffix not in (".pyc", ".so"):  # those are `compiled_wheel`'s
                 yield path.relative_to(ROOT).as_posix(), path.read_bytes()
     yield MODULE, (ROOT / MODULE).read_bytes()
-    strangers = tuple(name for name in modules if name.partition(".")[0] not in PACKAGES)
+    strangers = tuple(name for name in modules if name.partition(".")[0] != "handfast")
     if strangers:
         yield PLUGINS, "\n".join(strangers).encode()
         yield from plugin_files(strangers)

@@ -17,9 +17,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Final
 
-from agent.common.compiled import COMPILED
-from agent.runtime.version import handfast_version
-from deploy.console.data_files import ROOT
+from handfast.agent.common.compiled import COMPILED
+from handfast.agent.runtime.version import handfast_version
+from handfast.deploy.console.data_files import ROOT
 
 NAME: Final = "handfast_compiled"
 _EPOCH: Final = (2000, 1, 1, 0, 0, 0)

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from agent.common.errors import Error
-from agent.fleet.model import Fleet
+from handfast.agent.common.errors import Error
+from handfast.agent.fleet.model import Fleet
 
 BYTES_MAX: Final = 16_000_000
 _COMPILED: Final = (".so", ".pyd", ".dylib")

@@ -16,19 +16,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from agent.common.exit import BAD_INPUT
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.messages.key_expressions import ROLES
-from agent.security.identity import of_robot, of_router
-from deploy.hosts.artifacts import sandboxing
-from deploy.hosts.artifacts.sandboxing import Needs
-from deploy.processes.child import ONE_THREAD
+from handfast.agent.common.exit import BAD_INPUT
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.security.identity import of_robot, of_router
+from handfast.deploy.hosts.artifacts import sandboxing
+from handfast.deploy.hosts.artifacts.sandboxing import Needs
+from handfast.deploy.processes.child import ONE_THREAD
 
 RECORDER: Final = "recorder"
-RECORDER_MODULE: Final = "agent.recorder"
+RECORDER_MODULE: Final = "handfast.agent.recorder"
 ROUTER: Final = "router"
-ROUTER_MODULE: Final = "agent.runtime.router"
+ROUTER_MODULE: Final = "handfast.agent.runtime.router"
 WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0, ROUTER: 3.0}
 """A process whose loop is silent for so long is killed and started again. A recorder's disk may stall; a
 router is every robot's, and its loop is not what passes messages on."""
@@ -110,7 +110,7 @@ def identifier(unit: str) -> str:
 def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
     """The command line of a process."""
     kind = fleet.robot(robot).kind
-    module = {"agent": "agent", "plant": kind.program, RECORDER: RECORDER_MODULE}[role]
+    module = {"agent": "handfast.agent", "plant": kind.program, RECORDER: RECORDER_MODULE}[role]
     words = [f"{places.version}/bin/python", "-P", "-m", module]
     words += ["--fleet", places.fleet_file, "--robot", str(robot)]
     if places.keys is not None:
@@ -190,7 +190,7 @@ def _lines(
     needs: Needs,
     limits: Sequence[str] = (),
 ) -> Iterator[str]:
-    # Read again by deploy.hosts.remote_program: tells whether what runs is what is meant, and has read what
+    # Read again by handfast.deploy.hosts.remote_program: tells whether what runs is what is meant, and has read what
     # is there; which folders there must be.
     yield "# Written by `handfast up`: changed there, or removed by `handfast down`."
     yield f"# runs: {json.dumps(words)}"

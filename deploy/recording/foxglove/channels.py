@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import (
     Beacon,
     Event,
     Faults,
@@ -21,14 +21,14 @@ from agent.messages.types import (
     Status,
     Stop,
 )
-from agent.supervision.status import status_hz
-from deploy.recording.foxglove import scene
-from deploy.recording.foxglove.diagnostics import diagnostics
-from deploy.recording.foxglove.json_text import stamped
-from deploy.recording.foxglove.log import Log
-from deploy.recording.foxglove.moment import SILENT_NS, Latest
-from deploy.recording.foxglove.plots import plots
-from deploy.recording.foxglove.schemas import (
+from handfast.agent.supervision.status import status_hz
+from handfast.deploy.recording.foxglove import scene
+from handfast.deploy.recording.foxglove.diagnostics import diagnostics
+from handfast.deploy.recording.foxglove.json_text import stamped
+from handfast.deploy.recording.foxglove.log import Log
+from handfast.deploy.recording.foxglove.moment import SILENT_NS, Latest
+from handfast.deploy.recording.foxglove.plots import plots
+from handfast.deploy.recording.foxglove.schemas import (
     DIAGNOSTICS,
     EDGES,
     GROUND,

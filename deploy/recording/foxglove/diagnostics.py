@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Final
 
-from agent.messages.types import PlantState, Status
-from agent.supervision.state_machine import State
-from deploy.recording.foxglove.json_text import STAMP, dumps
+from handfast.agent.messages.types import PlantState, Status
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.recording.foxglove.json_text import STAMP, dumps
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of a DiagnosticStatus."""

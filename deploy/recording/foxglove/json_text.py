@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from typing import Any, Final
 
-from agent.common.time import NS_PER_S
+from handfast.agent.common.time import NS_PER_S
 
 STAMP: Final = "\0"
 """Stands in a content for its time. It is in no JSON: `json.dumps` escapes it in texts."""

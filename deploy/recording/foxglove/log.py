@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from math import dist
 from typing import Final
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.messages.types import EVERY_AUTHOR, Event, Faults, Mission, Resume, Status, Stop, clipped
-from deploy.console.wording import robots
-from deploy.recording.foxglove.diagnostics import ERROR, WARN, in_short, level_of
-from deploy.recording.foxglove.json_text import STAMP, dumps
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import EVERY_AUTHOR, Event, Faults, Mission, Resume, Status, Stop, clipped
+from handfast.deploy.console.wording import robots
+from handfast.deploy.recording.foxglove.diagnostics import ERROR, WARN, in_short, level_of
+from handfast.deploy.recording.foxglove.json_text import STAMP, dumps
 
 _INFO, _WARNING, _ERROR = 2, 3, 4
 _LEVELS: Final = {WARN: _WARNING, ERROR: _ERROR}

@@ -9,15 +9,15 @@ from collections.abc import Iterable, Mapping
 from math import atan2, cos, hypot, inf, sin
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import PlanError, plan_of
-from agent.formation.reference import Reference
-from agent.messages.codec import newer
-from agent.messages.types import Beacon, HandState, Mission, PlantState, Removed, Silent
-from agent.supervision.state_machine import REST_SPEED
+from handfast.agent.common.quantities import Vector
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import PlanError, plan_of
+from handfast.agent.formation.reference import Reference
+from handfast.agent.messages.codec import newer
+from handfast.agent.messages.types import Beacon, HandState, Mission, PlantState, Removed, Silent
+from handfast.agent.supervision.state_machine import REST_SPEED
 
 SILENT_NS: Final = 2 * NS_PER_S
 """A body of which nothing has come for so long is not heard."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from agent.messages.types import Status
-from deploy.recording.foxglove.moment import Moment
+from handfast.agent.messages.types import Status
+from handfast.deploy.recording.foxglove.moment import Moment
 
 _PLOTS: Final = '{%s,"robots":[%s],"edges":[%s]}'
 _ROBOT: Final = "{%s}"

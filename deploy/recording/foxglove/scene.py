@@ -10,11 +10,11 @@ from collections.abc import Iterable
 from math import cos, hypot, sin
 from typing import Any, Final
 
-from agent.common.quantities import Vector
-from agent.control.boundaries import Circle, fence_of, obstacles_of
-from agent.fleet.model import Fleet
-from deploy.recording.foxglove.json_text import STAMP, dumps
-from deploy.recording.foxglove.moment import HOLDS, Link, Moment
+from handfast.agent.common.quantities import Vector
+from handfast.agent.control.boundaries import Circle, fence_of, obstacles_of
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.recording.foxglove.json_text import STAMP, dumps
+from handfast.deploy.recording.foxglove.moment import HOLDS, Link, Moment
 
 WORLD: Final = "world"
 FORMATION: Final = "formation"

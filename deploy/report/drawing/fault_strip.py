@@ -10,10 +10,10 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from deploy.faults.lanes import Lane, lanes
-from deploy.faults.process_actions import WORDS
-from deploy.recording.recording import Recording
-from deploy.report.drawing.plotting import GREY, INK, PALETTE, RED
+from handfast.deploy.faults.lanes import Lane, lanes
+from handfast.deploy.faults.process_actions import WORDS
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.drawing.plotting import GREY, INK, PALETTE, RED
 
 LANES_MAX: Final = 9
 """Rules with a bar of their own; further ones share the last."""

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from agent.formation.points import Floats
-from deploy.report.drawing.plotting import GREY, INK
+from handfast.agent.formation.points import Floats
+from handfast.deploy.report.drawing.plotting import GREY, INK
 
 POINTS_PER_INCH: Final = 72.0
 FONT_SIZE: Final = 8.0

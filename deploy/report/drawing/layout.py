@@ -12,7 +12,7 @@ from matplotlib.figure import FigureBase
 from matplotlib.layout_engine import LayoutEngine
 from matplotlib.transforms import Bbox
 
-from agent.formation.points import Floats
+from handfast.agent.formation.points import Floats
 
 _PAD_IN: Final = 0.042
 """About each axes with what is beside it, and above a legend."""

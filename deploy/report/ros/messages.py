@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
-from agent.formation.points import Floats
-from deploy.analysis.stability import SETTLED
-from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
-from deploy.playback.marks import FAULT, ORDER, STATE, VIOLATION, marks
-from deploy.playback.series import nearest
-from deploy.recording.recording import RobotData
-from deploy.recording.tables import StatusTable, Table
-from deploy.verdict.run_result import RunResult
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
+from handfast.deploy.playback.marks import FAULT, ORDER, STATE, VIOLATION, marks
+from handfast.deploy.playback.series import nearest
+from handfast.deploy.recording.recording import RobotData
+from handfast.deploy.recording.tables import StatusTable, Table
+from handfast.deploy.verdict.run_result import RunResult
 
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
 """The definitions of the types. Those that are used are the same in Jazzy."""

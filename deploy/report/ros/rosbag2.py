@@ -20,11 +20,11 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from agent.runtime.version import handfast_version
-from deploy.recording.recorder import RecordingError
-from deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
-from deploy.report.whole_file import uninterrupted
-from deploy.verdict.run_result import RunResult
+from handfast.agent.runtime.version import handfast_version
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
+from handfast.deploy.report.whole_file import uninterrupted
+from handfast.deploy.verdict.run_result import RunResult
 
 METADATA_FILE: Final = "metadata.yaml"
 VERSION: Final = 8

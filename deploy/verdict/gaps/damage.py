@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import inf
 
-from deploy.analysis.gaps import GAP_S, gap_s
-from deploy.recording.recording import Damage, Recording
-from deploy.verdict.gaps.missing_poses import Gap
+from handfast.deploy.analysis.gaps import GAP_S, gap_s
+from handfast.deploy.recording.recording import Damage, Recording
+from handfast.deploy.verdict.gaps.missing_poses import Gap
 
 
 def cut_short(recording: Recording) -> Damage | None:

@@ -16,14 +16,14 @@ from typing import Final
 
 import numpy as np
 
-from deploy.analysis.analysis import Analysis
-from deploy.analysis.gaps import GAP_S, PoseGap, pose_gaps
-from deploy.analysis.presence import downs
-from deploy.console.wording import NAMES_SHOWN, robots
-from deploy.recording.recording import Recording
-from deploy.verdict.gaps.stakes import Stake, Stakes
-from deploy.verdict.overload import late_robots, on_late_machines
-from deploy.verdict.standstills import Cause, Stall, stalls
+from handfast.deploy.analysis.analysis import Analysis
+from handfast.deploy.analysis.gaps import GAP_S, PoseGap, pose_gaps
+from handfast.deploy.analysis.presence import downs
+from handfast.deploy.console.wording import NAMES_SHOWN, robots
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.gaps.stakes import Stake, Stakes
+from handfast.deploy.verdict.overload import late_robots, on_late_machines
+from handfast.deploy.verdict.standstills import Cause, Stall, stalls
 
 FEW_GAPS: Final = 3
 """So many of one kind are told one by one."""

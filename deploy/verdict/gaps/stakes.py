@@ -11,16 +11,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.control.boundaries import fence_of, obstacles_of
-from agent.formation.points import Floats
-from agent.supervision.state_machine import State
-from deploy.analysis.analysis import Analysis, hands_at
-from deploy.analysis.clearances import distances
-from deploy.analysis.gaps import PoseGap
-from deploy.analysis.reach import Disc, Reach, Seen, known, least_apart
-from deploy.recording.recording import Recording
-from deploy.verdict.oracles_distance import clearance_kept_m, furthest_outside_m
-from deploy.verdict.oracles_drive import SPEED_MORE_MPS, SPEED_SHARE
+from handfast.agent.control.boundaries import fence_of, obstacles_of
+from handfast.agent.formation.points import Floats
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.analysis.analysis import Analysis, hands_at
+from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.gaps import PoseGap
+from handfast.deploy.analysis.reach import Disc, Reach, Seen, known, least_apart
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.oracles_distance import clearance_kept_m, furthest_outside_m
+from handfast.deploy.verdict.oracles_drive import SPEED_MORE_MPS, SPEED_SHARE
 
 STEP_S: Final = 0.02
 """Robots are compared so often within a gap."""

@@ -6,15 +6,25 @@ from collections.abc import Iterable, Mapping
 from math import isfinite
 from typing import Any, NamedTuple
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.core import Agent
-from agent.fleet.loading import digest, parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.codec import decode, encode
-from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
-from agent.supervision.state_machine import State
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.types import (
+    Beacon,
+    HandState,
+    Message,
+    Mission,
+    PlantState,
+    Resume,
+    Status,
+    Stop,
+    Wrench,
+)
+from handfast.agent.supervision.state_machine import State
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0.2 }]

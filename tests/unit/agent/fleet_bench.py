@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from agent.common.time import NS_PER_S
-from agent.control import hand
-from agent.core import Agent
-from agent.fleet.loading import digest, parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Message, Mission
-from agent.node import Node
-from agent.supervision.state_machine import State
-from plant.node import PlantNode
-from plant.unicycle import Unicycle, from_fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import hand
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Message, Mission
+from handfast.agent.node import Node
+from handfast.agent.supervision.state_machine import State
+from handfast.plant.node import PlantNode
+from handfast.plant.unicycle import Unicycle, from_fleet
 
 THREE = """
 robot = [

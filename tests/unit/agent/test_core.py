@@ -10,16 +10,16 @@ import msgpack
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose, hand
-from agent.control.own_hand import LAST_PLACE_NS
-from agent.core import Agent
-from agent.fleet.loading import digest
-from agent.fleet.model import FleetError
-from agent.formation.trajectory import make_trajectory
-from agent.messages import key_expressions
-from agent.messages.codec import VERSION, decode, encode
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose, hand
+from handfast.agent.control.own_hand import LAST_PLACE_NS
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest
+from handfast.agent.fleet.model import FleetError
+from handfast.agent.formation.trajectory import make_trajectory
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import VERSION, decode, encode
+from handfast.agent.messages.types import (
     Ask,
     Beacon,
     Heartbeat,
@@ -28,9 +28,9 @@ from agent.messages.types import (
     Resume,
     Stop,
 )
-from agent.supervision.state_machine import State
-from plant.backend import Command
-from plant.unicycle import from_fleet
+from handfast.agent.supervision.state_machine import State
+from handfast.plant.backend import Command
+from handfast.plant.unicycle import from_fleet
 from tests.hand_acceleration import hand_acceleration
 from tests.unit.agent.agent_bench import (
     ASK,

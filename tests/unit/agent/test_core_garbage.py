@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.loading import digest
-from agent.messages.codec import encode
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.loading import digest
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import (
     FUTURE_NS_MAX,
     Ask,
     Beacon,
@@ -23,7 +23,7 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.supervision.state_machine import State
+from handfast.agent.supervision.state_machine import State
 from tests.unit.agent.agent_bench import (
     HAND,
     HEARTBEAT,

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest
-from agent.messages.codec import encode, mark_of
-from agent.messages.types import Beacon, Mission, Resume, Stop
-from agent.supervision.situation import NOT_SAID
-from agent.supervision.state_machine import State
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest
+from handfast.agent.messages.codec import encode, mark_of
+from handfast.agent.messages.types import Beacon, Mission, Resume, Stop
+from handfast.agent.supervision.situation import NOT_SAID
+from handfast.agent.supervision.state_machine import State
 from tests.unit.agent.agent_bench import (
     MISSION,
     OTHERS_BEACON,

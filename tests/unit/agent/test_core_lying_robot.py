@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from agent.formation.geometry import resolve, resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop
-from agent.messages.versions import AHEAD_US_MAX
-from deploy.orders.operator import Operator
-from deploy.orders.stop_outcome import Stopping
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop
+from handfast.agent.messages.versions import AHEAD_US_MAX
+from handfast.deploy.orders.operator import Operator
+from handfast.deploy.orders.stop_outcome import Stopping
 from tests.process.small_fleets import triangle
 
 NOW_NS = 1_790_000_000_000_000_000

@@ -7,11 +7,11 @@ from math import hypot, sqrt
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.formation.reference import Edge
-from agent.messages import key_expressions
-from agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
-from agent.supervision.state_machine import DRIVING, State
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.formation.reference import Edge
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
+from handfast.agent.supervision.state_machine import DRIVING, State
 from tests.hand_acceleration import hand_acceleration
 from tests.unit.agent.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
 

@@ -8,17 +8,17 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose, hand
-from agent.core import Agent
-from agent.fleet.loading import digest
-from agent.fleet.model import Fleet
-from agent.messages.codec import encode
-from agent.messages.types import Mission, Resume, Stop
-from agent.supervision.state_machine import State
-from plant.backend import Command, PlantBackend, Reading
-from plant.node import PlantNode
-from plant.unicycle import from_fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose, hand
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.agent.supervision.state_machine import State
+from handfast.plant.backend import Command, PlantBackend, Reading
+from handfast.plant.node import PlantNode
+from handfast.plant.unicycle import from_fleet
 from tests.unit.agent.agent_bench import (
     LISTEN_TICKS,
     MISSION,

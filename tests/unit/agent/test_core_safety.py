@@ -7,15 +7,15 @@ from math import hypot
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control import law
-from agent.control.hand import Pose
-from agent.control.peers.lateness import STOOD_KEPT_NS
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
-from agent.supervision.state_machine import State
-from plant.node import PlantNode
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import law
+from handfast.agent.control.hand import Pose
+from handfast.agent.control.peers.lateness import STOOD_KEPT_NS
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
+from handfast.agent.supervision.state_machine import State
+from handfast.plant.node import PlantNode
 from tests.unit.agent.agent_bench import (
     ALIVE,
     HEARTBEAT,

@@ -1,8 +1,8 @@
-"""agent.node: how much waits for a tick."""
+"""handfast.agent.node: how much waits for a tick."""
 
 from __future__ import annotations
 
-from agent.node import EACH, INBOX_SIZE, inbox_size
+from handfast.agent.node import EACH, INBOX_SIZE, inbox_size
 
 
 def test_what_all_robots_say_has_room_for_each() -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.types import Status
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Status
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,
     Sent,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.messages.types import Event, HandState, PlantState, Status, Wrench
-from deploy.recording.recording import Recording
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Event, HandState, PlantState, Status, Wrench
+from handfast.deploy.recording.recording import Recording
 from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages
 

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import tomli_w
 
-from agent.fleet.loading import parse_fleet, to_dict
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Faults, Message
-from deploy.recording.collector import RunData
-from deploy.recording.recorder import Recorder
-from deploy.recording.recording import Recording
-from deploy.simulate.simulation import Simulation
+from handfast.agent.fleet.loading import parse_fleet, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Faults, Message
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recorder import Recorder
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.simulate.simulation import Simulation
 
 Sent = tuple[int, str, Message]
 

@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from math import cos, exp, pi, sin, sqrt
 
-from agent.fleet.model import Fleet
-from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import HandState, Message, Mission, PlantState, Status, Wrench
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import (
+    ControlSection,
+    FleetSection,
+    FormationSection,
+    Robot,
+    TrajectorySection,
+)
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import HandState, Message, Mission, PlantState, Status, Wrench
 
 EPOCH_NS = 1_763_600_000_000_000_000
 Path = Callable[[float], tuple[float, float, float]]

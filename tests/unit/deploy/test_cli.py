@@ -11,18 +11,18 @@ from typing import IO, Final
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from deploy.check.capacity import Machine
-from deploy.check.check import check
-from deploy.cli import COMMANDS, GROUPS, _parser, main
-from deploy.console.data_files import FLEETS
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.check.capacity import Machine
+from handfast.deploy.check.check import check
+from handfast.deploy.cli import COMMANDS, GROUPS, _parser, main
+from handfast.deploy.console.data_files import FLEETS
 
 ROOT = Path(__file__).parents[3]
 OPERATORS = ("matplotlib", "mcap", "pyarrow", "rich", "tomli_w")
 WITHOUT = f"""
 import sys
 sys.modules |= dict.fromkeys({OPERATORS!r})
-from deploy.cli import main
+from handfast.deploy.cli import main
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -44,7 +44,9 @@ def test_what_is_missing_for_a_command_is_named_with_what_brings_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in [
-        name for name in sys.modules if name.startswith(("bridges", "pymap3d", "deploy.processes.placement"))
+        name
+        for name in sys.modules
+        if name.startswith(("bridges", "pymap3d", "handfast.deploy.processes.placement"))
     ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pymap3d", None)
@@ -119,7 +121,7 @@ LOADED = """
 import sys
 from contextlib import redirect_stdout, suppress
 from io import StringIO
-from deploy.cli import main
+from handfast.deploy.cli import main
 with redirect_stdout(StringIO()), suppress(SystemExit):
     main(sys.argv[1:])
 print(*sys.modules)
@@ -139,32 +141,37 @@ def loaded_by(*arguments: str) -> set[str]:
 def test_help_loads_no_command_and_nothing_of_fleets(arguments: tuple[str, ...]) -> None:
     loaded = loaded_by(*arguments)
     assert not loaded & {*HEAVY, "numpy", "bridges", "plant"}
-    light = {"agent.common", "agent.common.errors", "agent.common.exit"}
+    light = {"handfast.agent.common", "handfast.agent.common.errors", "handfast.agent.common.exit"}
     assert {name for name in loaded if name.startswith("agent.")} == light
-    assert not [name for name in loaded if name.startswith("deploy.commands.")]
+    assert not [name for name in loaded if name.startswith("handfast.deploy.commands.")]
 
 
 def test_check_loads_only_what_it_computes_with() -> None:
     loaded = loaded_by("check", "delta")
     assert not loaded & (set(HEAVY) - {"msgpack"})
-    assert not loaded & {"agent.core", "deploy.recording.recording", "deploy.drive", "deploy.hosts"}
-    commands = {name for name in loaded if name.startswith("deploy.commands.")}
-    assert commands == {"deploy.commands.local", "deploy.commands.local.check"}
+    assert not loaded & {
+        "handfast.agent.core",
+        "handfast.deploy.recording.recording",
+        "handfast.deploy.drive",
+        "handfast.deploy.hosts",
+    }
+    commands = {name for name in loaded if name.startswith("handfast.deploy.commands.")}
+    assert commands == {"handfast.deploy.commands.local", "handfast.deploy.commands.local.check"}
 
 
 def test_a_simulation_without_a_report_loads_only_what_it_records_and_judges_with(tmp_path: Path) -> None:
     where = ("--out", str(tmp_path / "run"), "--no-check", "--quiet", "--no-report")
     loaded = loaded_by("simulate", "pair", "--duration", "12s", *where)
     assert not loaded & (set(HEAVY) - {"msgpack", "mcap", "tomli_w", "importlib.metadata"})
-    assert not loaded & {"mcap.reader", "numpy.ma", "scipy", "pandas", "deploy.report.report"}
+    assert not loaded & {"mcap.reader", "numpy.ma", "scipy", "pandas", "handfast.deploy.report.report"}
 
 
 def test_a_command_loads_no_other() -> None:
     """A stop must be quick: no numpy, and nothing of how fleets are driven or drawn."""
     loaded = loaded_by("stop", "--help")
     assert not loaded & {*HEAVY, "numpy"}
-    commands = {name for name in loaded if name.startswith("deploy.commands.")}
-    assert commands == {"deploy.commands.running", "deploy.commands.running.stop"}
+    commands = {name for name in loaded if name.startswith("handfast.deploy.commands.")}
+    assert commands == {"handfast.deploy.commands.running", "handfast.deploy.commands.running.stop"}
 
 
 def test_every_command_has_one_line_of_help_and_a_module() -> None:
@@ -261,7 +268,7 @@ def test_an_option_before_a_command_is_looked_at_first(capsys: pytest.CaptureFix
 
 
 def test_orders_need_no_numerics_before_they_are_sent() -> None:
-    code = "import sys, deploy.session.stop; sys.exit('numpy' in sys.modules)"
+    code = "import sys, handfast.deploy.session.stop; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0
 
 
@@ -274,7 +281,7 @@ def test_the_fleet_with_a_reserve_can_be_driven() -> None:
 def test_whoever_reads_the_output_may_go() -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    words = [sys.executable, "-m", "deploy.cli", "check", "delta"]
+    words = [sys.executable, "-m", "handfast.deploy.cli", "check", "delta"]
     buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     try:
         done = subprocess.run(
@@ -289,7 +296,7 @@ def command_line(
     *arguments: str, path: Path = ROOT, stdout: int | IO[str] = subprocess.PIPE
 ) -> subprocess.CompletedProcess[str]:
     """A command as a process that looks for modules in `path` first."""
-    words = [sys.executable, "-P", "-m", "deploy.cli", *arguments]
+    words = [sys.executable, "-P", "-m", "handfast.deploy.cli", *arguments]
     environment = {**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{ROOT}"}
     return subprocess.run(
         words, stdout=stdout, stderr=subprocess.PIPE, text=True, env=environment, timeout=60
@@ -301,7 +308,9 @@ def command_line(
 def test_what_is_said_to_a_stream_that_is_closed_goes_nowhere(closed: int, tmp_path: Path) -> None:
     """And not to the other stream, nor into a file that has got its number."""
     out = tmp_path / "out"
-    shell = f'"$0" -P -c "from deploy.cli import process; raise SystemExit(process())" "$@" {closed}>&-'
+    shell = (
+        f'"$0" -P -c "from handfast.deploy.cli import process; raise SystemExit(process())" "$@" {closed}>&-'
+    )
     simulated = ["simulate", "delta", "--no-report", "--duration", "15s", "--out", str(out)]
     for arguments, status in ((simulated, 0), (["check", "nobody"], 2)):
         done = subprocess.run(
@@ -391,8 +400,8 @@ def test_more_robots_than_this_machine_carries_are_refused_with_what_fits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deploy.processes.machine.measured", lambda: Machine(2.0, 0.7))
-    monkeypatch.setattr("deploy.processes.machine.PAUSE_S", 0.0)
+    monkeypatch.setattr("handfast.deploy.processes.machine.measured", lambda: Machine(2.0, 0.7))
+    monkeypatch.setattr("handfast.deploy.processes.machine.PAUSE_S", 0.0)
     assert main(["new", "many", "--lattice", "90"]) == 0
     assert main(["run", "many.toml"]) == 2
     told = capsys.readouterr().err
@@ -410,7 +419,7 @@ def test_more_robots_than_this_machine_carries_are_refused_with_what_fits(
 def test_nothing_is_measured_for_a_small_fleet_or_one_on_hosts(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("deploy.processes.machine.measured", None)
+    monkeypatch.setattr("handfast.deploy.processes.machine.measured", None)
     assert main(["check", "delta"]) == 0
     text = (FLEETS / "lattice45.toml").read_text(encoding="utf-8")
     on_hosts = re.sub(r"\{ id = (\d+),", r'{ id = \1, host = "pi\1",', text)
@@ -431,7 +440,7 @@ def test_check_names_cores_that_this_machine_has_not(capsys: pytest.CaptureFixtu
 def test_numpy_of_the_command_has_one_thread_unless_somebody_says_otherwise() -> None:
     """Two that spin for each other on processors that others use make a `check` of a second take twelve."""
     code = (
-        "import os, sys; from deploy.cli import process; sys.argv = ['handfast', 'check', 'pair']; "
+        "import os, sys; from handfast.deploy.cli import process; sys.argv = ['handfast', 'check', 'pair']; "
         "assert 'numpy' not in sys.modules; process(); assert 'numpy' in sys.modules; "
         "print(os.environ['OPENBLAS_NUM_THREADS'], file=sys.stderr)"
     )

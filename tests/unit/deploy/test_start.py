@@ -17,13 +17,13 @@ import os, signal, sys
 
 class Interrupts:
     def find_spec(self, name, path=None, target=None):
-        if name == "deploy.cli":
+        if name == "handfast.deploy.cli":
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Interrupts())
 sys.argv = ["handfast"]
 {more}
-from deploy.start import process
+from handfast.deploy.start import process
 sys.exit(process())
 """
 
@@ -39,7 +39,7 @@ def test_ctrl_c_while_it_loads_says_nothing(more: str, status: int) -> None:
 
 
 def test_nothing_that_takes_time_is_loaded_before_it() -> None:
-    source = "import sys; before = set(sys.modules); import deploy.start; print(*set(sys.modules) - before)"
+    source = "import sys; before = set(sys.modules); import handfast.deploy.start; print(*set(sys.modules) - before)"
     done = subprocess.run([sys.executable, "-I", "-S", "-c", PATH + source], capture_output=True, text=True)
-    assert set(done.stdout.split()) <= {"__future__", "deploy", "deploy.start"}, done.stderr
+    assert set(done.stdout.split()) <= {"__future__", "deploy", "handfast.deploy.start"}, done.stderr
     assert done.stdout

@@ -9,21 +9,21 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, load_fleet
-from agent.fleet.model import Fleet, FleetError
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Mission
-from agent.runtime.clock import RealClock
-from agent.runtime.process import StartError
-from agent.transport.bus import Bus, BusError
-from deploy.console.data_files import FLEETS
-from deploy.processes.ports import Reservation
-from plant import server
-from plant.__main__ import main, place
-from plant.unicycle import from_fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, load_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Mission
+from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.process import StartError
+from handfast.agent.transport.bus import Bus, BusError
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.processes.ports import Reservation
+from handfast.plant import server
+from handfast.plant.__main__ import main, place
+from handfast.plant.unicycle import from_fleet
 
 
 def test_three_numbers_to_the_last_bit() -> None:
@@ -51,7 +51,7 @@ def test_a_plant_knows_the_mission_of_its_fleet_however_that_is_written(
     def make(given: Fleet, robot: int, *_: object) -> Any:
         return from_fleet(given, robot)
 
-    server.main([], "python -m plant", make)
+    server.main([], "python -m handfast.plant", make)
     node = started[0](whole if written_out else fleet, 7, RealClock(), print).node
     mission = Mission(1, NS_PER_S, 2 * NS_PER_S, NS_PER_S, digest(whole))
     node.receive(NS_PER_S, key_expressions.mission(fleet.fleet.name), encode(mission))
@@ -83,7 +83,7 @@ def test_several_bodies_are_named_by_numbers_and_start_where_the_file_has_them(
     with pytest.raises(SystemExit) as ended:
         main(["--fleet", "fleet.toml", "--robot", "1", *options])
     assert ended.value.code == 2
-    assert capsys.readouterr().err.rstrip().endswith(f"python -m plant: error: {says}")
+    assert capsys.readouterr().err.rstrip().endswith(f"python -m handfast.plant: error: {says}")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,9 @@ def test_several_bodies_are_those_of_other_robots_behind_a_router(
     started: list[Any] = []
     monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[3]) or 0)
     logs = Path("nowhere")
-    server.main([], "python -m plant", lambda given, robot, *_: from_fleet(given, robot), beside, logs)
+    server.main(
+        [], "python -m handfast.plant", lambda given, robot, *_: from_fleet(given, robot), beside, logs
+    )
     with pytest.raises((StartError, FleetError), match=f"^{re.escape(says)}$"):
         started[0](resolved(load_fleet(FLEETS / "pair.toml", settings)), 1, RealClock(), print)
 
@@ -116,7 +118,9 @@ def test_several_bodies_write_a_log_each(
 ) -> None:
     started: list[Any] = []
     monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[3]) or 0)
-    server.main([], "python -m plant", lambda given, robot, *_: from_fleet(given, robot), [2], tmp_path)
+    server.main(
+        [], "python -m handfast.plant", lambda given, robot, *_: from_fleet(given, robot), [2], tmp_path
+    )
     fleet = routed_pair()
     said: list[str] = []
     start = started[0](fleet, 1, RealClock(), said.append)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.points import Floats
-from agent.links.fault_plan import FaultPlan
-from agent.messages.types import Faults
-from plant.measurement import Measurement
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.points import Floats
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.messages.types import Faults
+from handfast.plant.measurement import Measurement
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0%s }, { id = 2, x_m = 2, y_m = 0%s }]

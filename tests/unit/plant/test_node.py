@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.common.time import NS_PER_S, MachineClock
-from agent.control.hand import Pose
-from agent.core import Agent
-from agent.fleet.loading import digest, load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import (
+from handfast.agent.common.time import NS_PER_S, MachineClock
+from handfast.agent.control.hand import Pose
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import digest, load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.types import (
     ACTS_PERIODS,
     CHECK_TEXT_MIN,
     CHECKS_MAX,
@@ -32,10 +32,10 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.console.data_files import FLEETS
-from plant.backend import COAST, Check, Command, PlantBackend, Reading, Said
-from plant.node import CHECKS_PERIOD_NS, PlantNode
-from plant.unicycle import from_fleet
+from handfast.deploy.console.data_files import FLEETS
+from handfast.plant.backend import COAST, Check, Command, PlantBackend, Reading, Said
+from handfast.plant.node import CHECKS_PERIOD_NS, PlantNode
+from handfast.plant.unicycle import from_fleet
 from tests.wire import opened, sealed
 
 FLEET = """

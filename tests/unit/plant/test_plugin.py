@@ -1,4 +1,4 @@
-"""plant.plugin: a body of others drives, and what its class does wrong is one line."""
+"""handfast.plant.plugin: a body of others drives, and what its class does wrong is one line."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.common import plugins
-from agent.common.plugins import PluginError
-from agent.common.settings import setting
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet, FleetError
-from deploy.console.data_files import FLEETS
-from plant.backend import Begin, Check, Command, Plant, Reading, Setup
-from plant.plugin import LATE_STEPS, PluginBody, begin, begin_virtual
+from handfast.agent.common import plugins
+from handfast.agent.common.plugins import PluginError
+from handfast.agent.common.settings import setting
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.deploy.console.data_files import FLEETS
+from handfast.plant.backend import Begin, Check, Command, Plant, Reading, Setup
+from handfast.plant.plugin import LATE_STEPS, PluginBody, begin, begin_virtual
 
 DRIVE = Command(1.0, 0.0)
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, parse_fleet
-from agent.fleet.model import Fleet
-from agent.links.ticks import Ticks
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Mission, Outgoing, PlantState, Resume, Stop, Wrench
-from agent.node import INBOX_SIZE
-from plant.node import PlantNode
-from plant.pool import PlantPool, PoolTicks
-from plant.unicycle import from_fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.ticks import Ticks
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Mission, Outgoing, PlantState, Resume, Stop, Wrench
+from handfast.agent.node import INBOX_SIZE
+from handfast.plant.node import PlantNode
+from handfast.plant.pool import PlantPool, PoolTicks
+from handfast.plant.unicycle import from_fleet
 
 FLEET = """
 robot = [

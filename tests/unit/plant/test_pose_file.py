@@ -13,14 +13,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.loading import parse_fleet
-from deploy.console.data_files import FLEETS
-from plant.__main__ import main as plant
-from plant.backend import Check, Command, PlantBackend, Reading
-from plant.pose_file import PersistentBody, PoseFile, PoseFileError
-from plant.unicycle import from_fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.deploy.console.data_files import FLEETS
+from handfast.plant.__main__ import main as plant
+from handfast.plant.backend import Check, Command, PlantBackend, Reading
+from handfast.plant.pose_file import PersistentBody, PoseFile, PoseFileError
+from handfast.plant.unicycle import from_fleet
 from tests.unit.agent.fleet.fleet_texts import SMALL
 
 FLEET = parse_fleet(SMALL, source="here")
@@ -44,7 +44,7 @@ def test_nothing_is_known_of_a_new_file(tmp_path: Path):
 def test_it_outlives_a_process_that_is_killed(tmp_path: Path):
     file = tmp_path / "pose"
     code = (
-        "import os, pathlib, signal; from plant.pose_file import PoseFile; from agent.control.hand "
+        "import os, pathlib, signal; from handfast.plant.pose_file import PoseFile; from handfast.agent.control.hand "
         "import Pose; "
         f"s = PoseFile(pathlib.Path({str(file)!r})); s.write(Pose(1.5, -2.0, 0.25, 3.0, 0.0)); "
         "os.kill(os.getpid(), signal.SIGKILL)"

@@ -10,15 +10,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose, advance
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.fleet.sections import Robot
-from agent.messages.types import ACTS_PERIODS
-from plant import unicycle
-from plant.backend import Command, Reading
-from plant.unicycle import Actuator, Unicycle, from_fleet, integrate
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose, advance
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import Robot
+from handfast.agent.messages.types import ACTS_PERIODS
+from handfast.plant import unicycle
+from handfast.plant.backend import Command, Reading
+from handfast.plant.unicycle import Actuator, Unicycle, from_fleet, integrate
 
 MASS, INERTIA = 10.0, 0.13
 PERIOD_S = 0.02

@@ -6,7 +6,7 @@ from importlib import reload
 
 import pytest
 
-from agent.common import compiled, time
+from handfast.agent.common import compiled, time
 
 
 @pytest.mark.parametrize(

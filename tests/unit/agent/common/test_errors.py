@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.errors import Error, MissingPackageError, packages_named
+from handfast.agent.common.errors import Error, MissingPackageError, packages_named
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agent.common.named_tuples import new
-from agent.control.hand import Hand
+from handfast.agent.common.named_tuples import new
+from handfast.agent.control.hand import Hand
 
 
 def test_it_is_what_its_class_makes() -> None:

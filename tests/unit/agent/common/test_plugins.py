@@ -1,4 +1,4 @@
-"""agent.common.plugins: a stranger's class is found, or one line says what is wrong with it."""
+"""handfast.agent.common.plugins: a stranger's class is found, or one line says what is wrong with it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import pytest
 
-from agent.common import plugins
-from agent.common.plugins import PluginError
-from agent.common.settings import setting
+from handfast.agent.common import plugins
+from handfast.agent.common.plugins import PluginError
+from handfast.agent.common.settings import setting
 
 GROUP = "handfast.tests"
 PACKAGE = {
@@ -25,8 +25,8 @@ PACKAGE = {
     "good.py": """
         from dataclasses import dataclass
 
-        from agent.common.plugins import PluginError
-        from agent.common.settings import setting
+        from handfast.agent.common.plugins import PluginError
+        from handfast.agent.common.settings import setting
 
 
         @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def test_a_class_is_found_by_its_module_by_its_name_and_when_it_was_registered()
     assert plugins.load("drag", GROUP) is drag
     assert plugins.resolve("drag", GROUP) == "strange_things.good:Drag"
     plugins.register("mine", drag)
-    assert plugins.load("mine", GROUP, "agent.common.plugins:PluginError") is drag
+    assert plugins.load("mine", GROUP, "handfast.agent.common.plugins:PluginError") is drag
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_a_class_is_found_by_its_module_by_its_name_and_when_it_was_registered()
 )
 def test_what_is_wrong_is_one_line(reference: str, says: str) -> None:
     with pytest.raises(PluginError) as caught:
-        plugins.load(reference, GROUP, "agent.common.plugins:PluginError")
+        plugins.load(reference, GROUP, "handfast.agent.common.plugins:PluginError")
     text = str(caught.value)
     assert re.search(says.replace("(PluginError)", r"\(PluginError\)"), text)
     assert reference in text

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from agent.common.quantities import (
+from handfast.agent.common.quantities import (
     UNITS,
     bits_per_second,
     decibels,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent.common import random_streams
+from handfast.agent.common import random_streams
 
 COUNT = 100_000
 # Every draw is fixed: these tests cannot fail by bad luck, and p-values were looked at once.

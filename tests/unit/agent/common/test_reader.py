@@ -1,4 +1,4 @@
-"""agent.common.reader: what a raw table reads as, and every message that it can give."""
+"""handfast.agent.common.reader: what a raw table reads as, and every message that it can give."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import pytest
 
-from agent.common.models import build, plain
-from agent.common.reader import Reader
-from agent.common.settings import Setting, about, entries, setting
+from handfast.agent.common.models import build, plain
+from handfast.agent.common.reader import Reader
+from handfast.agent.common.settings import Setting, about, entries, setting
 
 
 @dataclass(frozen=True, slots=True)

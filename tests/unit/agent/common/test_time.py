@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.common.time import NS_PER_S, LocalTime
+from handfast.agent.common.time import NS_PER_S, LocalTime
 
 EPOCH = 1_700_000_000 * NS_PER_S
 

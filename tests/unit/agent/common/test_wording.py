@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.common.reader import Problem
-from agent.common.wording import did_you_mean, printable, show
+from handfast.agent.common.reader import Problem
+from handfast.agent.common.wording import did_you_mean, printable, show
 
 
 def test_shown_values_are_short_and_on_one_line() -> None:

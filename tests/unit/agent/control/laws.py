@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from agent.common import plugins
-from agent.common.settings import setting
-from agent.control.law_plugin import Law, Moment
+from handfast.agent.common import plugins
+from handfast.agent.common.settings import setting
+from handfast.agent.control.law_plugin import Law, Moment
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""agent.control.boundaries: what a point feels of circles, corners, notches, bends and fences."""
+"""handfast.agent.control.boundaries: what a point feels of circles, corners, notches, bends and fences."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from math import hypot, inf, isclose, sqrt
 import numpy as np
 import pytest
 
-from agent.control.boundaries import Circle, Near, Polygon, fence_of, obstacles_of
-from deploy.analysis.clearances import distances
+from handfast.agent.control.boundaries import Circle, Near, Polygon, fence_of, obstacles_of
+from handfast.deploy.analysis.clearances import distances
 from tests.unit.agent.fleet.fleet_texts import SMALL, small
 
 BOX = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (0.0, 2.0))

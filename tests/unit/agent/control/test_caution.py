@@ -6,12 +6,12 @@ from math import inf
 
 import pytest
 
-from agent.control.caution import PACE, Caution
-from agent.control.hand import Hand
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peers import Peers
-from agent.formation.reference import Instant
-from agent.messages.types import HandState
+from handfast.agent.control.caution import PACE, Caution
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.formation.reference import Instant
+from handfast.agent.messages.types import HandState
 
 pytestmark = pytest.mark.patches
 

@@ -7,17 +7,17 @@ from typing import Any
 
 import pytest
 
-from agent.control.constraint_assembly import STOP_S, ConstraintAssembly, Scene
-from agent.control.controller import Controller
-from agent.control.hand import Hand, Pose
-from agent.control.peers.beliefs import DOUBT_MAX, stood_on
-from agent.control.peers.lanes import Run
-from agent.control.peers.rolling import STOPS_S, Rolls, arc, middle, rolled
-from agent.control.safety_distances import barrier_rate
-from agent.control.safety_filter import SEPARATION, STANDING, UNSURE, HalfPlane, project
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolve
-from agent.messages.types import HandState
+from handfast.agent.control.constraint_assembly import STOP_S, ConstraintAssembly, Scene
+from handfast.agent.control.controller import Controller
+from handfast.agent.control.hand import Hand, Pose
+from handfast.agent.control.peers.beliefs import DOUBT_MAX, stood_on
+from handfast.agent.control.peers.lanes import Run
+from handfast.agent.control.peers.rolling import STOPS_S, Rolls, arc, middle, rolled
+from handfast.agent.control.safety_distances import barrier_rate
+from handfast.agent.control.safety_filter import SEPARATION, STANDING, UNSURE, HalfPlane, project
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages.types import HandState
 
 S = 1_000_000_000
 T0 = 1000 * S

@@ -8,19 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.controller import LOOK_PERIOD_NS, REST_PERIOD_NS, Controller
-from agent.control.hand import Pose, advance, hand, wrench
-from agent.control.peers.prediction import BRAKING_TIME_S
-from agent.control.safety_distances import barrier_rate
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import ACTS_PERIODS, NEIGHBOURS_MAX, HandState, PlantState, Wrench
-from deploy.console.arguments import fleet_path
-from plant.backend import Command
-from plant.node import PlantNode
-from plant.unicycle import from_fleet
+from handfast.agent.control.controller import LOOK_PERIOD_NS, REST_PERIOD_NS, Controller
+from handfast.agent.control.hand import Pose, advance, hand, wrench
+from handfast.agent.control.peers.prediction import BRAKING_TIME_S
+from handfast.agent.control.safety_distances import barrier_rate
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import ACTS_PERIODS, NEIGHBOURS_MAX, HandState, PlantState, Wrench
+from handfast.deploy.console.arguments import fleet_path
+from handfast.plant.backend import Command
+from handfast.plant.node import PlantNode
+from handfast.plant.unicycle import from_fleet
 
 S = 1_000_000_000
 T0 = 1000 * S

@@ -6,14 +6,14 @@ from typing import get_args
 
 import pytest
 
-from agent.control import law
-from agent.control.couplings import COUPLINGS, Constraint
-from agent.control.peers.peers import Peers
-from agent.control.peers.prediction import Prediction
-from agent.fleet import sections
-from agent.formation.reference import Instant
-from agent.messages.types import HandState
-from deploy.analysis import couplings
+from handfast.agent.control import law
+from handfast.agent.control.couplings import COUPLINGS, Constraint
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.prediction import Prediction
+from handfast.agent.fleet import sections
+from handfast.agent.formation.reference import Instant
+from handfast.agent.messages.types import HandState
+from handfast.deploy.analysis import couplings
 
 GAINS = law.Gains(1.8, 5.0, 1.0, 0.2)
 S = 1_000_000_000

@@ -1,5 +1,5 @@
-"""agent.control.detour: when a robot goes round what blocks it, which way, and when it is back on the direct
-way."""
+"""handfast.agent.control.detour: when a robot goes round what blocks it, which way, and when it is back on
+the direct way."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import hypot, inf, isfinite, nan
 
 import pytest
 
-from agent.control.detour import (
+from handfast.agent.control.detour import (
     AGAINST,
     CAUGHT_S,
     FREE_S,

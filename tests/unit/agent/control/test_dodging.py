@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.dodging import (
+from handfast.agent.control.dodging import (
     KEEPS_M,
     MOVES,
     STAND,
@@ -19,7 +19,7 @@ from agent.control.dodging import (
     clearance,
     out_of_the_way,
 )
-from agent.control.hand import Pose, advance, hand, wrench
+from handfast.agent.control.hand import Pose, advance, hand, wrench
 
 CAN = Ability(0.8, 0.9, 1.0, 0.4)
 GAP = 1.25

@@ -1,4 +1,4 @@
-"""agent.control.event_trigger: what a robot's neighbours have to be told, and when again."""
+"""handfast.agent.control.event_trigger: what a robot's neighbours have to be told, and when again."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from agent.control.event_trigger import HEARD_OFF_US, LOOKAHEAD_S, EventTrigger
-from agent.control.peers.forecast import Forecast
-from agent.control.peers.rolling import Rolls
-from agent.formation.reference import Instant
-from agent.messages.types import HEARD_ROUNDS, HandState
+from handfast.agent.control.event_trigger import HEARD_OFF_US, LOOKAHEAD_S, EventTrigger
+from handfast.agent.control.peers.forecast import Forecast
+from handfast.agent.control.peers.rolling import Rolls
+from handfast.agent.formation.reference import Instant
+from handfast.agent.messages.types import HEARD_ROUNDS, HandState
 
 PERIOD = 20_000_000
 S = 1_000_000_000

@@ -1,4 +1,4 @@
-"""agent.control.gains: the softness of an edge, and that the law goes with the scale."""
+"""handfast.agent.control.gains: the softness of an edge, and that the law goes with the scale."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control import law
-from agent.control.gains import FOLD, SOFTNESS, gains_of, one_sided, softness
-from agent.fleet.model import Fleet
+from handfast.agent.control import law
+from handfast.agent.control.gains import FOLD, SOFTNESS, gains_of, one_sided, softness
+from handfast.agent.fleet.model import Fleet
 from tests.unit.agent.fleet.fleet_texts import small
 
 

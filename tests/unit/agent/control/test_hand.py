@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agent.control.hand import Hand, Pose, advance, hand, wrench
-from agent.formation.points import Floats
+from handfast.agent.control.hand import Hand, Pose, advance, hand, wrench
+from handfast.agent.formation.points import Floats
 from tests.hand_acceleration import hand_acceleration
 
 MASS, INERTIA, REACH = 10.0, 0.13, 0.1

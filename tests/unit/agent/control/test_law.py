@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.control import law
+from handfast.agent.control import law
 from tests.values import values
 
 GAINS = law.Gains(kd=1.8, k2=5.0, kp=1.0)

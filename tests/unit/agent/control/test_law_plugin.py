@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.control.law_plugin import Law
+from handfast.agent.control.law_plugin import Law
 from tests.unit.agent.agent_bench import fleet
 
 

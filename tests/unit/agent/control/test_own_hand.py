@@ -6,11 +6,11 @@ from math import cos, hypot, inf, sin
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.controller import Controller
-from agent.control.own_hand import LAST_PLACE_NS, OwnHand
-from agent.control.peers.prediction import BRAKING_TIME_S
-from agent.control.peers.rolling import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.controller import Controller
+from handfast.agent.control.own_hand import LAST_PLACE_NS, OwnHand
+from handfast.agent.control.peers.prediction import BRAKING_TIME_S
+from handfast.agent.control.peers.rolling import (
     ROLL_ERROR,
     SPEED_LAGS,
     SPEED_LEADS_S,
@@ -18,8 +18,8 @@ from agent.control.peers.rolling import (
     TURN_SHARE,
     Rolls,
 )
-from agent.formation.geometry import resolve
-from agent.messages.types import PlantState
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages.types import PlantState
 from tests.unit.agent.agent_bench import START, fleet
 
 SPEED = 1.0

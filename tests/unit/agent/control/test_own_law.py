@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.control import own_law
-from agent.control.own_law import LawError
-from agent.core import Agent
-from agent.fleet.loading import parse_fleet
-from agent.messages.types import HandState
-from agent.supervision.state_machine import State
+from handfast.agent.control import own_law
+from handfast.agent.control.own_law import LawError
+from handfast.agent.core import Agent
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.messages.types import HandState
+from handfast.agent.supervision.state_machine import State
 from tests.unit.agent.agent_bench import FLEET, PERIOD, Bench, brakes, fleet
 from tests.unit.agent.control.laws import LAWS, Good, known
 
@@ -220,5 +220,5 @@ def test_a_number_that_no_message_holds_is_told_the_limit():
 
 
 def test_others_do_not_load_it():
-    code = "import agent.core, sys; print([name for name in sys.modules if 'own_law' in name])"
+    code = "import handfast.agent.core, sys; print([name for name in sys.modules if 'own_law' in name])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.common.time import NS_PER_S
-from agent.control import pace
-from agent.control.safety_distances import LOWEST_SHARE, barrier_rate
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet, FleetError
-from deploy.analysis.couplings import Mode
-from deploy.analysis.stability import sampled_radius
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control import pace
+from handfast.agent.control.safety_distances import LOWEST_SHARE, barrier_rate
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.deploy.analysis.couplings import Mode
+from handfast.deploy.analysis.stability import sampled_radius
 
 FLEETS = Path("deploy/data/fleets")
 

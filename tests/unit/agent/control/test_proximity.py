@@ -8,21 +8,21 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agent.common.quantities import DISTANCE_MIN
-from agent.control.controller import LOOK_PERIOD_NS
-from agent.control.hand import Hand
-from agent.control.peers.beliefs import DOUBT_MAX, Belief, Stretch
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.control.proximity import AHEAD_S, LOOK_MANY_NS, REST_MAX_NS, STAY_M, Proximity
-from agent.control.safety_distances import acceleration_max, speed_max
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import plan_of
-from agent.formation.reference import Instant
-from agent.messages.types import Beacon, HandState, Mission
+from handfast.agent.common.quantities import DISTANCE_MIN
+from handfast.agent.control.controller import LOOK_PERIOD_NS
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.beliefs import DOUBT_MAX, Belief, Stretch
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.proximity import AHEAD_S, LOOK_MANY_NS, REST_MAX_NS, STAY_M, Proximity
+from handfast.agent.control.safety_distances import acceleration_max, speed_max
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import plan_of
+from handfast.agent.formation.reference import Instant
+from handfast.agent.messages.types import Beacon, HandState, Mission
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1, y_m = 0 }, { id = 3, x_m = 5, y_m = 0 }]

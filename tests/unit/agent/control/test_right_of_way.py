@@ -6,15 +6,15 @@ from math import hypot
 
 import pytest
 
-from agent.control.hand import Hand
-from agent.control.peers.peers import Peers
-from agent.control.right_of_way import GAINED_NS, LANE_SHARE, RightOfWay
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolve, start_hand
-from agent.formation.mission_plan import plan_of
-from agent.formation.reference import Reference
-from agent.messages.codec import Mark, tag
-from agent.messages.types import Beacon, Mission, Silent
+from handfast.agent.control.hand import Hand
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.right_of_way import GAINED_NS, LANE_SHARE, RightOfWay
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolve, start_hand
+from handfast.agent.formation.mission_plan import plan_of
+from handfast.agent.formation.reference import Reference
+from handfast.agent.messages.codec import Mark, tag
+from handfast.agent.messages.types import Beacon, Mission, Silent
 
 SAFE = 0.2
 FLEET = """

@@ -1,5 +1,5 @@
-"""agent.control.safety_distances: from which distances on robots keep apart, and how fast they may close
-in."""
+"""handfast.agent.control.safety_distances: from which distances on robots keep apart, and how fast they may
+close in."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from random import Random
 
 import pytest
 
-from agent.control.safety_distances import (
+from handfast.agent.control.safety_distances import (
     acceleration_max,
     avoidance_distance,
     barrier_rate,
@@ -20,8 +20,8 @@ from agent.control.safety_distances import (
     speed_max,
     speeding_rate,
 )
-from agent.control.safety_filter import keep_apart
-from agent.fleet.model import Fleet
+from handfast.agent.control.safety_filter import keep_apart
+from handfast.agent.fleet.model import Fleet
 from tests.unit.agent.fleet.fleet_texts import small
 
 LINE = {1: (0.0, 0.0), 2: (1.0, 0.0), 3: (2.0, 0.0)}

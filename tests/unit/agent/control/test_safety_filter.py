@@ -6,8 +6,8 @@ from math import cos, hypot, inf, pi, sin, sqrt
 
 import pytest
 
-from agent.control.hand import Pose, advance, hand, wrench
-from agent.control.safety_filter import (
+from handfast.agent.control.hand import Pose, advance, hand, wrench
+from handfast.agent.control.safety_filter import (
     BODY,
     HARDER,
     LEAST_MAX,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet, FleetError
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
 
 SMALL = """
 [fleet]

@@ -1,4 +1,4 @@
-"""agent.fleet.model: robots that are real vehicles, `[datum]` and `[robot.mavlink]`."""
+"""handfast.agent.fleet.model: robots that are real vehicles, `[datum]` and `[robot.mavlink]`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 import tomli_w
 
-from agent.fleet.loading import digest, parse_fleet, to_dict
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.sections import DatumSection
+from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.sections import DatumSection
 from tests.unit.agent.fleet.fleet_texts import DATUM, MIXED, ROVERS, problems, small
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import tomli_w
 
-from agent.fleet.fault_targets import LinkSet, Partition
-from agent.fleet.loading import digest, parse_fleet, to_dict
-from agent.fleet.model import FleetError
-from agent.fleet.scenario import ScenarioError, parse_scenario
+from handfast.agent.fleet.fault_targets import LinkSet, Partition
+from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
+from handfast.agent.fleet.model import FleetError
+from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
 
 FLEET = """
 robot = [

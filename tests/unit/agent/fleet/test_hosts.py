@@ -7,12 +7,12 @@ import tomllib
 import pytest
 import tomli_w
 
-from agent.__main__ import start as agent_start
-from agent.fleet.loading import digest, parse_fleet, to_dict
-from agent.fleet.model import Fleet, FleetError
-from agent.runtime.clock import RealClock
-from plant import server
-from plant.unicycle import from_fleet
+from handfast.agent.__main__ import start as agent_start
+from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.runtime.clock import RealClock
+from handfast.plant import server
+from handfast.plant.unicycle import from_fleet
 
 FLEET = """
 [fleet]
@@ -112,7 +112,7 @@ def test_agent_and_plant_listen_on_the_loopback_and_the_plant_dials_it(monkeypat
         return 0
 
     monkeypatch.setattr(server, "process_main", run)
-    assert server.main([], "python -m plant", lambda fleet, robot, *_: from_fleet(fleet, robot)) == 0
+    assert server.main([], "python -m handfast.plant", lambda fleet, robot, *_: from_fleet(fleet, robot)) == 0
     assert found[0].listen == ("tls/10.0.0.1:7601", "tls/127.0.0.1:7601")
     assert found[0].connect == ["tls/127.0.0.1:7600"]
 

@@ -1,4 +1,4 @@
-"""agent.fleet.loading: the fleet file, its checks across fields, and its way back to a table."""
+"""handfast.agent.fleet.loading: the fleet file, its checks across fields, and its way back to a table."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.loading import FILE_BYTES_MAX, digest, law_name, load_fleet, parse_fleet, to_dict
-from agent.fleet.model import FleetError
-from agent.fleet.sections import LAWS, REPLACED, ControlSection
-from deploy.check import fleet_reference
-from deploy.console.data_files import FLEETS, TEMPLATE
+from handfast.agent.fleet.loading import FILE_BYTES_MAX, digest, law_name, load_fleet, parse_fleet, to_dict
+from handfast.agent.fleet.model import FleetError
+from handfast.agent.fleet.sections import LAWS, REPLACED, ControlSection
+from handfast.deploy.check import fleet_reference
+from handfast.deploy.console.data_files import FLEETS, TEMPLATE
 from tests.unit.agent.fleet.fleet_texts import MIXED, SMALL, problems, small
 
 BUNDLED = sorted((FLEETS).glob("*.toml"))
@@ -425,7 +425,7 @@ def test_a_stale_page_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_it_starts_without_numpy() -> None:
     code = (
-        "import sys, agent.fleet.model; print(sorted({'numpy', 'zenoh', 'difflib', 'asyncio'} & "
+        "import sys, handfast.agent.fleet.model; print(sorted({'numpy', 'zenoh', 'difflib', 'asyncio'} & "
         "set(sys.modules)))"
     )
     done = subprocess.run(

@@ -1,11 +1,11 @@
-"""agent.fleet.model: what a robot asks of its fleet, and how an error reads."""
+"""handfast.agent.fleet.model: what a robot asks of its fleet, and how an error reads."""
 
 from __future__ import annotations
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import FleetError
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import FleetError
 from tests.unit.agent.fleet.fleet_texts import SMALL, small
 
 

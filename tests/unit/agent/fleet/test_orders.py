@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.settings import entries
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import FleetError
-from agent.fleet.orders import ORDER_FIELDS, OrderSection
-from agent.fleet.sections import TrajectorySection
+from handfast.agent.common.settings import entries
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import FleetError
+from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection
+from handfast.agent.fleet.sections import TrajectorySection
 from tests.unit.deploy.orders.order_fleets import SQUARE, square
 
 

@@ -1,4 +1,4 @@
-"""agent.fleet.plants: kinds of plant, ours and those of others."""
+"""handfast.agent.fleet.plants: kinds of plant, ours and those of others."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from math import inf
 
 import pytest
 
-from agent.common.plugins import PluginError
-from agent.fleet import plants
-from agent.fleet.loading import load_fleet
-from deploy.console.data_files import FLEETS
+from handfast.agent.common.plugins import PluginError
+from handfast.agent.fleet import plants
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.console.data_files import FLEETS
 
 
 def test_ours() -> None:
@@ -46,10 +46,10 @@ def test_no_kind() -> None:
 
 def test_a_fleet_without_plugins_loads_nothing_of_them() -> None:
     code = (
-        "import sys, agent.__main__, plant.__main__; from agent.fleet import plants; "
-        "from agent.fleet.loading import load_fleet; fleet = load_fleet(sys.argv[1]); "
+        "import sys, agent.__main__, plant.__main__; from handfast.agent.fleet import plants; "
+        "from handfast.agent.fleet.loading import load_fleet; fleet = load_fleet(sys.argv[1]); "
         "plants.attribute(fleet.robot(1).kind.body); "
-        "print(sorted({'importlib.metadata', 'plant.plugin', 'difflib', 'handfast'} & set(sys.modules)))"
+        "print(sorted({'importlib.metadata', 'handfast.plant.plugin', 'difflib', 'handfast'} & set(sys.modules)))"
     )
     found = subprocess.run(
         [sys.executable, "-c", code, str(FLEETS / "delta.toml")], capture_output=True, text=True, check=True

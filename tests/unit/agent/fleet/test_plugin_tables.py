@@ -1,4 +1,5 @@
-"""agent.fleet.plugin_tables: tables of plugins are read, checked, inherited and written as ours are."""
+"""handfast.agent.fleet.plugin_tables: tables of plugins are read, checked, inherited and written as ours
+are."""
 
 from __future__ import annotations
 
@@ -9,12 +10,12 @@ from dataclasses import dataclass, field
 import pytest
 import tomli_w
 
-from agent.common import plugins
-from agent.common.settings import about, setting
-from agent.control.law_plugin import Law
-from agent.fleet.loading import digest, law_name, parse_fleet, to_dict
-from agent.fleet.model import FleetError
-from plant.backend import Plant
+from handfast.agent.common import plugins
+from handfast.agent.common.settings import about, setting
+from handfast.agent.control.law_plugin import Law
+from handfast.agent.fleet.loading import digest, law_name, parse_fleet, to_dict
+from handfast.agent.fleet.model import FleetError
+from handfast.plant.backend import Plant
 from tests.unit.agent.fleet.fleet_texts import SMALL, problems, small
 
 

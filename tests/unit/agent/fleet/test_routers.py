@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.fleet.routers import RouterPlace
-from deploy.processes.placement import place
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.routers import RouterPlace
+from handfast.deploy.processes.placement import place
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, ROUTERS, fleet, large
 
 SPARE = '[host.spare]\naddress = "10.0.0.9"\n'

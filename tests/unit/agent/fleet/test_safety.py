@@ -1,4 +1,4 @@
-"""agent.fleet.model: `[[obstacle]]`, `[geofence]`, `[avoidance]`, `[supervision]`; what does not go
+"""handfast.agent.fleet.model: `[[obstacle]]`, `[geofence]`, `[avoidance]`, `[supervision]`; what does not go
 together."""
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from math import cos, pi, sin
 import pytest
 import tomli_w
 
-from agent.fleet.loading import parse_fleet, to_dict
-from agent.fleet.safety import CORNERS_MAX, GeofenceSection, ObstacleSection
+from handfast.agent.fleet.loading import parse_fleet, to_dict
+from handfast.agent.fleet.safety import CORNERS_MAX, GeofenceSection, ObstacleSection
 from tests.unit.agent.fleet.fleet_texts import SMALL, problems, small
 
 TREE = "[[obstacle]]\ncentre_m = [5, 6]\nradius_m = 0.5\n"

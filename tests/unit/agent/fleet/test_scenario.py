@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.loading import load_fleet, parse_fleet, to_dict
-from agent.fleet.model import FleetError
+from handfast.agent.fleet.loading import load_fleet, parse_fleet, to_dict
+from handfast.agent.fleet.model import FleetError
 from tests.unit.deploy.orders.order_fleets import SQUARE, square
 
 LEAVES = '[[order]]\nat = "5s"\nkind = "leave"\nrobot = 2\n'

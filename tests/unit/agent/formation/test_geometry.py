@@ -8,10 +8,16 @@ from math import cos, pi, sin
 import numpy as np
 import pytest
 
-from agent.fleet.model import Fleet, FormationError
-from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.formation.geometry import resolve, resolved, start_hands
-from agent.formation.points import edge_lengths
+from handfast.agent.fleet.model import Fleet, FormationError
+from handfast.agent.fleet.sections import (
+    ControlSection,
+    FleetSection,
+    FormationSection,
+    Robot,
+    TrajectorySection,
+)
+from handfast.agent.formation.geometry import resolve, resolved, start_hands
+from handfast.agent.formation.points import edge_lengths
 from tests.unit.agent.formation.delta import DELTA, DELTA_EDGES
 
 STARTS = ((-1.0, 1.4), (-0.7, -0.9), (-0.2, 0.3), (1.0, 2.0), (0.1, 1.0), (-0.18, 0.0))  # the paper's

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.loading import digest
-from agent.formation.geometry import resolve, resolved
-from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.messages.codec import decode, encode, tag
-from agent.messages.types import Mission
+from handfast.agent.fleet.loading import digest
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
+from handfast.agent.messages.codec import decode, encode, tag
+from handfast.agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import PlanError, mission_parts, plan_of
-from agent.messages.codec import decode, encode
-from agent.messages.types import NEIGHBOURS_MAX, Mission
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import PlanError, mission_parts, plan_of
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import NEIGHBOURS_MAX, Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, SQUARE, S, first_plan, square
 
 ROBOTS = ((4, 0.0, 1.0), (1, 0.0, 0.0), (7, 2.0, 0.0))

@@ -7,8 +7,8 @@ from math import hypot
 import numpy as np
 import pytest
 
-from agent.fleet.model import FormationError
-from agent.formation.realisation import realise
+from handfast.agent.fleet.model import FormationError
+from handfast.agent.formation.realisation import realise
 from tests.unit.agent.formation.delta import DELTA_EDGES, RING
 
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.fleet.orders import ShapeSection
-from agent.fleet.sections import TrajectorySection
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import Plan, mission_parts, plan_of
-from agent.formation.reference import KEPT_MAX, LEAVE_FADE_NS, WITHIN_MAX, Edge, Reference
-from agent.messages.codec import Mark, tag
-from agent.messages.types import Mission
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import ShapeSection
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import Plan, mission_parts, plan_of
+from handfast.agent.formation.reference import KEPT_MAX, LEAVE_FADE_NS, WITHIN_MAX, Edge, Reference
+from handfast.agent.messages.codec import Mark, tag
+from handfast.agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()

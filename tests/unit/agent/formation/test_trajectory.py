@@ -7,9 +7,9 @@ from math import hypot, pi, sqrt
 
 import pytest
 
-from agent.control.peers.lanes import Lane
-from agent.fleet.sections import TrajectorySection
-from agent.formation.trajectory import (
+from handfast.agent.control.peers.lanes import Lane
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.trajectory import (
     corner_distances,
     corner_turns,
     duration,

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent.common import random_streams
-from agent.impairments import markov_chains
-from agent.impairments.delay_distributions import SHAPES, score
-from agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
+from handfast.agent.common import random_streams
+from handfast.agent.impairments import markov_chains
+from handfast.agent.impairments.delay_distributions import SHAPES, score
+from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
 
 COUNT = 100_000
 FIRST = 2**20  # sequence numbers that a run has

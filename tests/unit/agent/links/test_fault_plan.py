@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.links.fault_plan import AUTHORS_MAX, FaultPlan
-from agent.messages.types import EVERY_AUTHOR, Faults
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.fault_plan import AUTHORS_MAX, FaultPlan
+from handfast.agent.messages.types import EVERY_AUTHOR, Faults
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from agent.common.time import NS_PER_S
-from agent.links.ingress import Ingress
-from agent.messages.codec import decode, encode
-from agent.messages.types import Faults, HandState, LinkTrace, Stop
-from agent.messages.validation import Malformed
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.links.ingress import Ingress
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Faults, HandState, LinkTrace, Stop
+from handfast.agent.messages.validation import Malformed
 from tests.unit.agent.links.test_fault_plan import CUT, NOW, PERIOD, fleet, live
 
 

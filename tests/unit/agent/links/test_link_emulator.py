@@ -6,16 +6,16 @@ from itertools import pairwise
 
 import pytest
 
-from agent.common import random_streams
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import LinkEmulator
-from agent.links.timed_rules import NONE
-from agent.messages.codec import decode, encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import (
+from handfast.agent.common import random_streams
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.link_emulator import LinkEmulator
+from handfast.agent.links.timed_rules import NONE
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
     HELD,
@@ -29,7 +29,7 @@ from agent.messages.types import (
     LinkTrace,
     Wrench,
 )
-from agent.messages.validation import Malformed
+from handfast.agent.messages.validation import Malformed
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }, { id = 3, x_m = 3, y_m = 0 }]

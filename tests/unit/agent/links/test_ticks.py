@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent.common.time import NS_PER_S
-from agent.core import Agent
-from agent.fleet.hosts import CROWD
-from agent.fleet.loading import digest, parse_fleet
-from agent.fleet.model import Fleet
-from agent.links.ticks import AGENTS_NS_MAX, Ticks, agent_slot_ns, plant_slot_ns
-from agent.messages.codec import encode
-from agent.messages.types import Faults, Mission
-from agent.node import Node
-from plant.node import PlantNode
-from plant.unicycle import from_fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.core import Agent
+from handfast.agent.fleet.hosts import CROWD
+from handfast.agent.fleet.loading import digest, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.links.ticks import AGENTS_NS_MAX, Ticks, agent_slot_ns, plant_slot_ns
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Faults, Mission
+from handfast.agent.node import Node
+from handfast.plant.node import PlantNode
+from handfast.plant.unicycle import from_fleet
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 2, y_m = 0 }]

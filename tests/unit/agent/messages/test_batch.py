@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.messages.batch import EACH_MAX, packed, unpacked
-from agent.messages.types import BYTES_MAX
-from agent.messages.validation import Malformed
-from agent.transport.bus import PAYLOAD_BYTES_MAX
+from handfast.agent.messages.batch import EACH_MAX, packed, unpacked
+from handfast.agent.messages.types import BYTES_MAX
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.transport.bus import PAYLOAD_BYTES_MAX
 
 Said = list[tuple[int, bytes]]
 

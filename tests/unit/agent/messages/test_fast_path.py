@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.messages import fast_path
-from agent.messages.codec import encode
-from agent.messages.types import CLASSES, Faults, HandState, Message, Mission
-from agent.messages.validation import examined
+from handfast.agent.messages import fast_path
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import CLASSES, Faults, HandState, Message, Mission
+from handfast.agent.messages.validation import examined
 from tests.declared_messages import messages_of
 from tests.wire import opened
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.messages import key_expressions
+from handfast.agent.messages import key_expressions
 
 
 def test_keys_of_faults_and_links():

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages import validation
-from agent.messages.codec import LONG, decode, encode, mark_of, newer
-from agent.messages.types import Mission
-from agent.messages.validation import Malformed
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import validation
+from handfast.agent.messages.codec import LONG, decode, encode, mark_of, newer
+from handfast.agent.messages.types import Mission
+from handfast.agent.messages.validation import Malformed
 
 MISSION = Mission(
     1, 10**18, 10**18, 60 * NS_PER_S, "ab" * 32, robots=tuple((k, float(k), 0.5) for k in range(1, 61))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.sequence_numbers import FIRST_ROUND, SequenceNumbers
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND, SequenceNumbers
 
 T0 = 1000 * NS_PER_S
 PERIOD = 20_000_000

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.messages.trickle_timer import TrickleTimer
+from handfast.agent.messages.trickle_timer import TrickleTimer
 
 LEAST, MOST = 200, 1600
 

@@ -12,10 +12,10 @@ from typing import NoReturn
 import msgpack
 import pytest
 
-from agent.messages import codec
-from agent.messages.codec import VERSION, decode, encode, newer
-from agent.messages.fast_path import taker
-from agent.messages.types import (
+from handfast.agent.messages import codec
+from handfast.agent.messages.codec import VERSION, decode, encode, newer
+from handfast.agent.messages.fast_path import taker
+from handfast.agent.messages.types import (
     AUTHOR_MAX,
     BYTES_MAX,
     CHECK_TEXT_MIN,
@@ -54,7 +54,7 @@ from agent.messages.types import (
     Wrench,
     clipped,
 )
-from agent.messages.validation import REASONS, Malformed
+from handfast.agent.messages.validation import REASONS, Malformed
 from tests.wire import opened, sealed
 
 HAND = HandState(

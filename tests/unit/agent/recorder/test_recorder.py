@@ -9,16 +9,33 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, load_fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.recorder import __main__
-from agent.recorder.recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS, RobotRecorder, known_orders
-from agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
-from agent.recorder.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Block, Received, Segment
-from agent.transport.bus import BusError
-from deploy.console.data_files import FLEETS
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, load_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.recorder import __main__
+from handfast.agent.recorder.recorder import (
+    BLOCK_BYTES,
+    BLOCK_NS,
+    KNOWN_BYTES,
+    RETRY_NS,
+    RobotRecorder,
+    known_orders,
+)
+from handfast.agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
+from handfast.agent.recorder.segments import (
+    ABOUT,
+    KNOWN,
+    MESSAGES,
+    ORDERS,
+    OVERFLOW,
+    About,
+    Block,
+    Received,
+    Segment,
+)
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.console.data_files import FLEETS
 
 BEGUN_NS = 1_763_600_000_000_000_000
 TOLD = key_expressions.relayed("delta", 3)

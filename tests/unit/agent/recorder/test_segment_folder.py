@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from agent.recorder import segment_folder
-from agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
+from handfast.agent.recorder import segment_folder
+from handfast.agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
 
 BLOCK = b"b" * 100_000
 

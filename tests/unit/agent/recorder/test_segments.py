@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from io import BytesIO
 
-from agent.recorder.segments import PACKED_BYTES_MAX, Segment, message_block
+from handfast.agent.recorder.segments import PACKED_BYTES_MAX, Segment, message_block
 
 
 class Reads(BytesIO):

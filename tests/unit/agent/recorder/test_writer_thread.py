@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.recorder import __main__, writer_thread
-from agent.recorder.recorder import RobotRecorder
-from agent.recorder.segments import MESSAGES, OVERFLOW
-from agent.recorder.writer_thread import RecorderThread
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.recorder import __main__, writer_thread
+from handfast.agent.recorder.recorder import RobotRecorder
+from handfast.agent.recorder.segments import MESSAGES, OVERFLOW
+from handfast.agent.recorder.writer_thread import RecorderThread
 from tests.unit.agent.recorder.test_recorder import BEGUN_NS, HAND, ORDER_KEYS, TOLD, WHO, Disk, blocks
 
 TICK_NS = NS_PER_S // 20

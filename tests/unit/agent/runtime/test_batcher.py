@@ -7,13 +7,13 @@ from itertools import pairwise
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.batch import EACH_MAX, unpacked
-from agent.runtime.batcher import AT, LATE_AT, Batcher
-from agent.transport.batches import SAID_NS
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.batch import EACH_MAX, unpacked
+from handfast.agent.runtime.batcher import AT, LATE_AT, Batcher
+from handfast.agent.transport.batches import SAID_NS
 
 NAME = "many"
 T0 = 10**18

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime import certificate_wait
-from agent.runtime.certificate_wait import SAY_S, WAITS, wait_until_valid
-from agent.runtime.systemd_notify import SystemdNotifier
-from agent.security.certificates import DAY_S
-from agent.security.identity import of_robot
-from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.agent.runtime import certificate_wait
+from handfast.agent.runtime.certificate_wait import SAY_S, WAITS, wait_until_valid
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.identity import of_robot
+from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 ME = of_robot(FLEET, 1)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.runtime import clock
-from agent.runtime.clock import RealClock
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.runtime import clock
+from handfast.agent.runtime.clock import RealClock
 
 pytestmark = pytest.mark.patches
 

@@ -7,18 +7,18 @@ from typing import cast
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, parse_fleet
-from agent.messages.codec import decode, encode
-from agent.messages.types import Mission, PlantState, Stop
-from agent.node import Node
-from agent.runtime.loop import ROUTER_PAUSE_NS, OrderKeeper, look_at_links, loop
-from agent.runtime.process import names_of
-from agent.runtime.shutdown import Shutdown
-from agent.runtime.systemd_notify import SystemdNotifier
-from agent.transport.bus import Bus
-from plant.node import PlantNode
-from plant.unicycle import from_fleet
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, parse_fleet
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Mission, PlantState, Stop
+from handfast.agent.node import Node
+from handfast.agent.runtime.loop import ROUTER_PAUSE_NS, OrderKeeper, look_at_links, loop
+from handfast.agent.runtime.process import names_of
+from handfast.agent.runtime.shutdown import Shutdown
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.transport.bus import Bus
+from handfast.plant.node import PlantNode
+from handfast.plant.unicycle import from_fleet
 
 pytestmark = pytest.mark.patches
 

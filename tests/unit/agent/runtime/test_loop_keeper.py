@@ -9,12 +9,12 @@ from typing import cast
 import msgpack
 import pytest
 
-from agent.messages.codec import VERSION, encode
-from agent.messages.types import Stop
-from agent.node import Node
-from agent.runtime.loop import OrderKeeper
-from agent.runtime.order_store import OrderStore, packed
-from agent.transport.bus import Bus
+from handfast.agent.messages.codec import VERSION, encode
+from handfast.agent.messages.types import Stop
+from handfast.agent.node import Node
+from handfast.agent.runtime.loop import OrderKeeper
+from handfast.agent.runtime.order_store import OrderStore, packed
+from handfast.agent.transport.bus import Bus
 from tests.wire import sealed
 
 pytestmark = pytest.mark.patches

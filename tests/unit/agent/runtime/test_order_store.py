@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.runtime import order_store
-from agent.runtime.order_store import (
+from handfast.agent.runtime import order_store
+from handfast.agent.runtime.order_store import (
     FILE_BYTES_MAX,
     LOOK_PERIOD_NS,
     ORDERS_MAX,
@@ -22,7 +22,7 @@ from agent.runtime.order_store import (
     packed,
     unpacked,
 )
-from agent.security.private_files import KeyFileError
+from handfast.agent.security.private_files import KeyFileError
 from tests.process.harness import wait_for
 
 ORDERS = (b"stop", b"\x00\xff")

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.settings import entries
-from agent.fleet.loading import digest, load_fleet
-from agent.fleet.model import FleetError
-from agent.fleet.scenario import parse_scenario
-from agent.fleet.sections import TrajectorySection
-from agent.formation.mission_plan import trajectory_parts, written_plan
-from agent.messages.codec import decode, encode
-from agent.messages.types import Mission, Place
-from agent.runtime import preloaded
-from deploy.console.data_files import FLEETS
+from handfast.agent.common.settings import entries
+from handfast.agent.fleet.loading import digest, load_fleet
+from handfast.agent.fleet.model import FleetError
+from handfast.agent.fleet.scenario import parse_scenario
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.mission_plan import trajectory_parts, written_plan
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Mission, Place
+from handfast.agent.runtime import preloaded
+from handfast.deploy.console.data_files import FLEETS
 
 
 @pytest.fixture(autouse=True)

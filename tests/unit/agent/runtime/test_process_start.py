@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from agent.__main__ import start
-from agent.runtime import process
-from agent.security.credentials import CredentialsError, NotValidNowError
-from agent.transport.bus import BusError
+from handfast.agent.__main__ import start
+from handfast.agent.runtime import process
+from handfast.agent.security.credentials import CredentialsError, NotValidNowError
+from handfast.agent.transport.bus import BusError
 from tests.unit.agent.runtime.test_systemd_notify import all_of
 
 FLEET = """
@@ -44,7 +44,7 @@ def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable
     def run(bus_for: Callable[..., Any]) -> int:
         monkeypatch.setattr(process, "bus_for", bus_for)
         arguments = ["--fleet", str(file), "--robot", "1", "--keys", str(tmp_path)]
-        return process.main(arguments, "python -m agent", "agent", start)
+        return process.main(arguments, "python -m handfast.agent", "agent", start)
 
     return run
 

@@ -11,16 +11,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from agent.runtime import realtime
-from agent.runtime.realtime_granted import Granted, from_json
+from handfast.agent.runtime import realtime
+from handfast.agent.runtime.realtime_granted import Granted, from_json
 from tests.process.harness import ROOT
 from tests.realtime_here import may_raise_limits, need_realtime, without
 
-ASKS = [sys.executable, "-P", "-m", "agent.runtime.realtime"]
+ASKS = [sys.executable, "-P", "-m", "handfast.agent.runtime.realtime"]
 BEGIN = """
 import os, subprocess, sys, threading, time
-from agent.fleet.process_section import ProcessSection
-from agent.runtime.realtime import RealTime
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.runtime.realtime import RealTime
 def policy(thread):
     return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(thread).sched_priority
 def thread(call):
@@ -138,7 +138,7 @@ def test_one_that_runs_on_end_gives_it_up_and_goes_on() -> None:
     need_realtime()
     told = run(
         """
-from agent.runtime import realtime
+from handfast.agent.runtime import realtime
 realtime.OVERRUN_S = 0.1
 RealTime(ProcessSection(realtime=True), 'agent', lambda text: print('log:', text)).lead()
 end = time.monotonic() + 10
@@ -157,7 +157,7 @@ def test_one_that_hears_no_signal_is_killed_by_the_kernel() -> None:
     done = subprocess.run(
         [
             sys.executable, "-P", "-c",
-            BEGIN + "from agent.runtime import realtime\n"
+            BEGIN + "from handfast.agent.runtime import realtime\n"
             "realtime.OVERRUN_S, realtime.KILLED_S = 0.1, 0.3\n"
             "RealTime(ProcessSection(realtime=True), 'agent', print).lead()\n"
             "sum(range(10 ** 12))\n",

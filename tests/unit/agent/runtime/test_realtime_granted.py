@@ -10,9 +10,18 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.process_section import ProcessSection
-from agent.runtime import realtime_granted
-from agent.runtime.realtime_granted import Granted, cores, cpu_list, from_json, look, main, said, to_json
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.runtime import realtime_granted
+from handfast.agent.runtime.realtime_granted import (
+    Granted,
+    cores,
+    cpu_list,
+    from_json,
+    look,
+    main,
+    said,
+    to_json,
+)
 
 ASKED = ProcessSection(realtime=True, priority=40)
 ALL = Granted(41, (0, 1), (0, 1), locked=True, rtprio=42, memlock=-1, privileged=False)

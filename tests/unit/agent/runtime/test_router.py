@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.common.exit import BAD_INPUT, FAILED
-from agent.fleet.loading import load_fleet, to_dict
-from agent.fleet.model import Fleet
-from agent.runtime.router import main, others
-from deploy.console.data_files import FLEETS
+from handfast.agent.common.exit import BAD_INPUT, FAILED
+from handfast.agent.fleet.loading import load_fleet, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.runtime.router import main, others
+from handfast.deploy.console.data_files import FLEETS
 
 AWAY = "192.0.2.7:7447"  # RFC 5737: nobody has it
 HERE = "127.0.0.1:7447"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from agent.runtime.shutdown import Shutdown, add_parent_argument
+from handfast.agent.runtime.shutdown import Shutdown, add_parent_argument
 
 
 @pytest.fixture(autouse=True)

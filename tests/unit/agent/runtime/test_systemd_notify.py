@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.runtime.systemd_notify import SystemdNotifier
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent.messages import key_expressions
-from agent.security.access_control import access_settings
-from agent.security.identity import IdentityError, of_operator, of_robot
+from handfast.agent.messages import key_expressions
+from handfast.agent.security.access_control import access_settings
+from handfast.agent.security.identity import IdentityError, of_operator, of_robot
 from tests.trusted import security
 
 FLEET = "delta"

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.security import __main__
-from agent.security.certificates import CertificateError, authority_from_pem, issued, key_from_pem
-from agent.security.credentials import (
+from handfast.agent.security import __main__
+from handfast.agent.security.certificates import CertificateError, authority_from_pem, issued, key_from_pem
+from handfast.agent.security.credentials import (
     CredentialsError,
     Files,
     MissingError,
@@ -22,9 +22,9 @@ from agent.security.credentials import (
     store,
     wanting,
 )
-from agent.security.identity import of_operator, of_robot
-from deploy.inventory.certificate_authority import Authority
-from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from handfast.agent.security.identity import of_operator, of_robot
+from handfast.deploy.inventory.certificate_authority import Authority
+from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 DAY_S = 86_400
@@ -239,7 +239,7 @@ def test_a_robots_certificate_signs_no_others(signed: tuple[Authority, Path], tm
 def test_a_key_of_another_kind() -> None:
     from cryptography.hazmat.primitives.asymmetric import ec
 
-    from agent.security.certificates import pem_of_key
+    from handfast.agent.security.certificates import pem_of_key
 
     with pytest.raises(CertificateError, match="P-256"):
         key_from_pem(pem_of_key(ec.generate_private_key(ec.SECP384R1())))

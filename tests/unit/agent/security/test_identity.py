@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.security.identity import (
+from handfast.agent.security.identity import (
     ADDRESSES_MAX,
     COMMON_NAME_MAX,
     Identity,
@@ -15,7 +15,7 @@ from agent.security.identity import (
     of_router,
     parse,
 )
-from deploy.inventory.certificate_builder import is_ip
+from handfast.deploy.inventory.certificate_builder import is_ip
 
 
 @pytest.mark.parametrize(

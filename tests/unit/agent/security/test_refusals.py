@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from agent.security.refusals import KINDS_MAX, LINKS_MAX, PERIOD_NS, Refusals
-from agent.transport.zenoh_log import POLL_NS, READ_MAX, SIZE_MAX, ZenohLog
+from handfast.agent.security.refusals import KINDS_MAX, LINKS_MAX, PERIOD_NS, Refusals
+from handfast.agent.transport.zenoh_log import POLL_NS, READ_MAX, SIZE_MAX, ZenohLog
 
 TLS = (
     "2026-11-20T23:28:45.883366Z  WARN acc-0 ThreadId(05) zenoh_link_tls::unicast: {}. "

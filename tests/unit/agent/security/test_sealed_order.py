@@ -9,13 +9,13 @@ from typing import Any
 import msgpack
 import pytest
 
-from agent.messages.codec import decode, encode
-from agent.messages.types import MISSION_BYTES_MAX, Heartbeat
-from agent.security import sealed_order
-from agent.security.certificates import DER_BYTES_MAX
-from agent.security.credentials import Credentials
-from agent.security.identity import of_operator, of_robot, of_router
-from agent.security.sealed_order import (
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import MISSION_BYTES_MAX, Heartbeat
+from handfast.agent.security import sealed_order
+from handfast.agent.security.certificates import DER_BYTES_MAX
+from handfast.agent.security.credentials import Credentials
+from handfast.agent.security.identity import of_operator, of_robot, of_router
+from handfast.agent.security.sealed_order import (
     DOMAIN,
     SEALED_BYTES_MAX,
     SIGNATURE_BYTES_MAX,
@@ -26,8 +26,8 @@ from agent.security.sealed_order import (
     Order,
     Sealer,
 )
-from deploy.inventory.certificate_authority import Authority
-from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import Authority
+from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOAD = encode(Heartbeat(int(NOW_S * 1e9), "ann"))
@@ -75,7 +75,7 @@ def test_what_an_operator_sealed_opens(ann: Credentials, opener: Opener) -> None
 
 
 def test_the_largest_seal_passes_the_bus() -> None:
-    from agent.transport.bus import PAYLOAD_BYTES_MAX
+    from handfast.agent.transport.bus import PAYLOAD_BYTES_MAX
 
     assert SEALED_BYTES_MAX <= PAYLOAD_BYTES_MAX
 

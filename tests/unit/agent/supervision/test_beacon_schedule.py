@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.common.time import NS_PER_MS, NS_PER_S
-from agent.control.peers.beliefs import said_doubt
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.types import Beacon, Silent
-from agent.supervision import beacon_schedule
-from agent.supervision.beacon_schedule import (
+from handfast.agent.common.time import NS_PER_MS, NS_PER_S
+from handfast.agent.control.peers.beliefs import said_doubt
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Beacon, Silent
+from handfast.agent.supervision import beacon_schedule
+from handfast.agent.supervision.beacon_schedule import (
     HURRIES_HZ,
     ONWARD,
     RELAY_NS,

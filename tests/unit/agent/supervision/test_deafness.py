@@ -1,4 +1,4 @@
-"""agent.supervision.deafness: whom a robot is deaf to, and whom it only does not hear."""
+"""handfast.agent.supervision.deafness: whom a robot is deaf to, and whom it only does not hear."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.types import Beacon
-from agent.supervision.deafness import LATE_NS, PAUSE_MAX_NS, PAUSE_NS, SURE_NS, Deafness
-from agent.supervision.state_machine import State
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import Beacon
+from handfast.agent.supervision.deafness import LATE_NS, PAUSE_MAX_NS, PAUSE_NS, SURE_NS, Deafness
+from handfast.agent.supervision.state_machine import State
 from tests.unit.agent.fleet_bench import FleetBench, three
 
 HORIZON_NS = 2 * NS_PER_S

@@ -6,15 +6,15 @@ from math import cos, pi, sin
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import Ask, Mission, PlantState, Resume, Stop, Wrench
-from agent.supervision.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
-from agent.supervision.state_machine import DRIVING, State
-from plant.node import PlantNode
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import Ask, Mission, PlantState, Resume, Stop, Wrench
+from handfast.agent.supervision.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
+from handfast.agent.supervision.state_machine import DRIVING, State
+from handfast.plant.node import PlantNode
 from tests.unit.agent.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
 
 T0 = 1000 * NS_PER_S

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from agent.messages.codec import decode
-from agent.messages.types import Mission, Resume, Stop
-from agent.supervision.lasting_orders import LastingOrders
-from agent.supervision.stop_latch import StopLatch
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.agent.supervision.lasting_orders import LastingOrders
+from handfast.agent.supervision.stop_latch import StopLatch
 
 MISSION = Mission(7, 0, 5, 10, "digest")
 

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S
-from agent.messages.types import HandState, Status, Stop, Wrench
-from agent.node import Node
-from agent.supervision.neighbour_trust import SLOWEST
-from agent.supervision.state_machine import DRIVING, State
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S
+from handfast.agent.messages.types import HandState, Status, Stop, Wrench
+from handfast.agent.node import Node
+from handfast.agent.supervision.neighbour_trust import SLOWEST
+from handfast.agent.supervision.state_machine import DRIVING, State
 from tests.hand_acceleration import hand_acceleration
 from tests.unit.agent.fleet_bench import MISSION, PERIOD, FleetBench, three
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from agent.control.controller import Controller
-from agent.control.hand import Hand
-from agent.formation.geometry import resolve
-from agent.formation.mission_choice import MissionChoice
-from agent.messages.codec import decode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Setpoint, Wrench
-from agent.supervision.outbox import Outbox
-from agent.supervision.stop_latch import StopLatch
+from handfast.agent.control.controller import Controller
+from handfast.agent.control.hand import Hand
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_choice import MissionChoice
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Setpoint, Wrench
+from handfast.agent.supervision.outbox import Outbox
+from handfast.agent.supervision.stop_latch import StopLatch
 from tests.unit.agent.agent_bench import BEACON, HAND, PERIOD, START, WRENCH, fleet
 
 HERE = Hand(1.0, 2.0, 0.5, -0.5)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.common.time import NS_PER_S
-from agent.node import TOLD_SHARE
-from agent.supervision.overload import CALM_MAX_NS, CALM_NS, HEARD_NS, WINDOW_NS, Overload
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.node import TOLD_SHARE
+from handfast.agent.supervision.overload import CALM_MAX_NS, CALM_NS, HEARD_NS, WINDOW_NS, Overload
 
 PERIOD = NS_PER_S // 50
 STEPS = 2

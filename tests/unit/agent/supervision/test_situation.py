@@ -1,4 +1,4 @@
-"""agent.supervision.situation: what the state machine decides by."""
+"""handfast.agent.supervision.situation: what the state machine decides by."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Any, cast
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.controller import Controller
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import LISTEN_BEACONS
-from agent.formation.geometry import resolve, resolved
-from agent.messages.types import PlantState, Removed, Resume, Stop
-from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.overload import Overload
-from agent.supervision.situation import NOT_SAID, Situation
-from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
-from agent.supervision.stop_latch import AWAITED
-from deploy.console.data_files import FLEETS
-from deploy.orders.mission_editing import first_mission
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.controller import Controller
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import LISTEN_BEACONS
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.messages.types import PlantState, Removed, Resume, Stop
+from handfast.agent.supervision.neighbour_trust import NeighbourTrust
+from handfast.agent.supervision.overload import Overload
+from handfast.agent.supervision.situation import NOT_SAID, Situation
+from handfast.agent.supervision.state_machine import DRIVING, MISSION_OVER, State
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.orders.mission_editing import first_mission
 
 pytestmark = pytest.mark.patches
 

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from agent.supervision.state_machine import DOES, DRIVING, TRANSITIONS, Conditions, State, step
+from handfast.agent.supervision.state_machine import DOES, DRIVING, TRANSITIONS, Conditions, State, step
 
 WELL = Conditions(
     plant="", body="", numbers="", place="", neighbours="", mission="", stop="", hold="", degraded="",

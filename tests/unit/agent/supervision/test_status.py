@@ -1,4 +1,4 @@
-"""agent.supervision.status: when an agent says it, what it tells, and that it fits."""
+"""handfast.agent.supervision.status: when an agent says it, what it tells, and that it fits."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from itertools import pairwise
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.types import (
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import (
     TEXT_MAX,
     Stop,
 )
-from agent.supervision.state_machine import State
-from agent.supervision.status import STATUS_HZ, STATUSES_HZ, status_hz
+from handfast.agent.supervision.state_machine import State
+from handfast.agent.supervision.status import STATUS_HZ, STATUSES_HZ, status_hz
 from tests.unit.agent.agent_bench import (
     PERIOD,
     STOP,

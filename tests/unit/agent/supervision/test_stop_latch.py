@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.messages.types import Resume, Stop
-from agent.supervision.stop_latch import StopLatch
+from handfast.agent.messages.types import Resume, Stop
+from handfast.agent.supervision.stop_latch import StopLatch
 
 ROBOT = 1
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from agent.common.time import NS_PER_S
-from agent.messages import key_expressions
-from agent.messages.batch import packed
-from agent.transport.batches import PATIENCE_NS, SAID_NS, SINGLY_KEPT, STOOD_NS, Batches
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.batch import packed
+from handfast.agent.transport.batches import PATIENCE_NS, SAID_NS, SINGLY_KEPT, STOOD_NS, Batches
 
 NAME = "many"
 ALL = key_expressions.beacon(NAME, "*")

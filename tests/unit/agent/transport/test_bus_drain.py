@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent.node import INBOX_SIZE
-from agent.transport.bus import Bus
-from agent.transport.link_watch import LinkWatch
+from handfast.agent.node import INBOX_SIZE
+from handfast.agent.transport.bus import Bus
+from handfast.agent.transport.link_watch import LinkWatch
 
 SAMPLE = SimpleNamespace(key_expr="two/robot/7/hand", payload=SimpleNamespace(to_bytes=lambda: b"junk"))
 
@@ -29,7 +29,7 @@ def test_a_flood_costs_no_more_than_an_inbox_of_each_key(
     monkeypatch: pytest.MonkeyPatch, sizes: tuple[int, ...], total: int
 ):
     monkeypatch.setattr(zenoh, "open", lambda _config: Flooded())
-    monkeypatch.setattr("agent.transport.bus._SESSIONS", [])  # it is none that has links
+    monkeypatch.setattr("handfast.agent.transport.bus._SESSIONS", [])  # it is none that has links
     bus = Bus(listen=[], connect=[])
     bus.subscribe("two/robot/2/hand", *sizes)
     bus.subscribe("two/**", *sizes)

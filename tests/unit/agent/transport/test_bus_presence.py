@@ -8,8 +8,8 @@ from typing import Any
 
 import zenoh
 
-from agent.messages import key_expressions
-from agent.transport.bus import PRESENCE_SIZE, Presence
+from handfast.agent.messages import key_expressions
+from handfast.agent.transport.bus import PRESENCE_SIZE, Presence
 
 
 class Subscriber:

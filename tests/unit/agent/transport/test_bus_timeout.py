@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.transport import bus, sealed_bus
-from agent.transport.bus import LINK_TIMEOUT_S, OPEN_TIMEOUT_MS, Bus, BusError, Router, settings_of
-from agent.transport.sealed_bus import bus_for
-from deploy.console.arguments import fleet_path
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.transport import bus, sealed_bus
+from handfast.agent.transport.bus import LINK_TIMEOUT_S, OPEN_TIMEOUT_MS, Bus, BusError, Router, settings_of
+from handfast.agent.transport.sealed_bus import bus_for
+from handfast.deploy.console.arguments import fleet_path
 
 
 def delta(*sets: str) -> Fleet:

@@ -1,4 +1,4 @@
-"""agent.transport.link_watch: which links it shuts down, of sockets that nobody else knows of."""
+"""handfast.agent.transport.link_watch: which links it shuts down, of sockets that nobody else knows of."""
 
 from __future__ import annotations
 
@@ -10,9 +10,16 @@ from contextlib import ExitStack
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.transport.link_watch import DEAF_NS, PATIENCE_MAX, PAUSED_NS, PERIOD_NS, SOON_NS, LinkWatch
-from agent.transport.tcp_sockets import TcpSockets
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.transport.link_watch import (
+    DEAF_NS,
+    PATIENCE_MAX,
+    PAUSED_NS,
+    PERIOD_NS,
+    SOON_NS,
+    LinkWatch,
+)
+from handfast.agent.transport.tcp_sockets import TcpSockets
 
 TIMEOUT_S = 0.4
 T0 = 1000 * NS_PER_S

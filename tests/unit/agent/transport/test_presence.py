@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from agent.transport.presence import KEPT, Watches
+from handfast.agent.transport.presence import KEPT, Watches
 
 pytestmark = pytest.mark.patches
 

@@ -1,4 +1,4 @@
-"""agent.transport.run_delay: what the kernel says, and where it says nothing."""
+"""handfast.agent.transport.run_delay: what the kernel says, and where it says nothing."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.transport.run_delay import run_delay_ns
+from handfast.agent.transport.run_delay import run_delay_ns
 
-HERE = "agent.transport.run_delay._TASKS"
+HERE = "handfast.agent.transport.run_delay._TASKS"
 
 
 def test_it_is_that_of_all_threads_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

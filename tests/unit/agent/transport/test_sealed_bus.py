@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Stop
-from agent.security.identity import MAIN, of_operator, of_robot
-from agent.security.refusals import Refusals
-from agent.security.sealed_order import Sealer
-from agent.transport import sealed_bus
-from agent.transport.bus import Bus, BusError
-from agent.transport.sealed_bus import SealedBus
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Stop
+from handfast.agent.security.identity import MAIN, of_operator, of_robot
+from handfast.agent.security.refusals import Refusals
+from handfast.agent.security.sealed_order import Sealer
+from handfast.agent.transport import sealed_bus
+from handfast.agent.transport.bus import Bus, BusError
+from handfast.agent.transport.sealed_bus import SealedBus
 from tests.process.guarded import guarded_fleet
 from tests.trusted import FLEET, authority, credentials
 

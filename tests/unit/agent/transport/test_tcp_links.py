@@ -1,4 +1,5 @@
-"""agent.transport.tcp_links: links that come while they are looked at, and those that nothing happens on."""
+"""handfast.agent.transport.tcp_links: links that come while they are looked at, and those that nothing
+happens on."""
 
 from __future__ import annotations
 
@@ -8,10 +9,10 @@ from contextlib import ExitStack
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.transport.link_watch import LinkWatch
-from agent.transport.tcp_links import WHOLE_LOOK_NS, TcpLinks
-from agent.transport.tcp_sockets import TcpSocket
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.transport.link_watch import LinkWatch
+from handfast.agent.transport.tcp_links import WHOLE_LOOK_NS, TcpLinks
+from handfast.agent.transport.tcp_sockets import TcpSocket
 
 T0 = 1000 * NS_PER_S
 

@@ -1,4 +1,4 @@
-"""agent.transport.tcp_sockets: what is found, and that it is nobody else's."""
+"""handfast.agent.transport.tcp_sockets: what is found, and that it is nobody else's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from agent.transport.tcp_sockets import Calm, TcpSocket, TcpSockets, borrowed, held, lowest_free
+from handfast.agent.transport.tcp_sockets import Calm, TcpSocket, TcpSockets, borrowed, held, lowest_free
 
 
 @pytest.fixture

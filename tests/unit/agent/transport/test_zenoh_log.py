@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.transport.zenoh_log import WANTED, ZenohLog
+from handfast.agent.transport.zenoh_log import WANTED, ZenohLog
 
 CODE = """
 import os, sys
-from agent.transport.zenoh_log import ZenohLog
+from handfast.agent.transport.zenoh_log import ZenohLog
 print("before")
 log = ZenohLog()
 os.write(1, b"from the library\\n")
@@ -39,7 +39,7 @@ def test_only_what_the_library_writes_is_taken() -> None:
 
 TWO = """
 import os
-from agent.transport.zenoh_log import ZenohLog
+from handfast.agent.transport.zenoh_log import ZenohLog
 first, second = ZenohLog(), ZenohLog()
 print("meanwhile")
 os.write(1, b"from the library\\n")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from agent.fleet.mavlink_section import MavlinkSection
-from bridges.mavlink.ardupilot import frames
-from bridges.mavlink.bridge import preflight_checks
-from bridges.mavlink.bridge.preflight_checks import BridgeState, Look
-from plant.backend import Check
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.bridges.mavlink.ardupilot import frames
+from handfast.bridges.mavlink.bridge import preflight_checks
+from handfast.bridges.mavlink.bridge.preflight_checks import BridgeState, Look
+from handfast.plant.backend import Check
 from tests.rover_scene import Scene
 
 SAFE = {"FS_GCS_ENABLE": 1.0, "FS_CRASH_CHECK": 1.0, "BATT_FS_LOW_ACT": 2.0}

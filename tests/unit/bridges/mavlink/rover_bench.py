@@ -7,10 +7,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.simulator.rover import Rover, Settings
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.simulator.rover import Rover, Settings
 
 # POSITION_TARGET_TYPEMASK, SET_ATTITUDE_TARGET: the setpoints of other programs than the bridge.
 MASK_YAW_RATE = 0x5FF

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import plan_of
-from agent.formation.reference import Reference
-from agent.messages import key_expressions
-from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.analysis.presence import downs
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import plan_of
+from handfast.agent.formation.reference import Reference
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Event, Message, Mission, Resume, Status, Stop
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.analysis.presence import downs
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 
 ROBOTS = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.5, 1.0))

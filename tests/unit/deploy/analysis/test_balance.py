@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from agent.control import law
-from agent.control.gains import gains_of
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.analysis.balance import STILL_S, caught, last_caught_s, rest_shapes
-from deploy.recording.collector import RunData
+from handfast.agent.control import law
+from handfast.agent.control.gains import gains_of
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.analysis.balance import STILL_S, caught, last_caught_s, rest_shapes
+from handfast.deploy.recording.collector import RunData
 from tests.unit.deploy.synthetic_run import make_fleet, messages, standing
 
 PAIR = make_fleet([(0.0, 0.0), (2.0, 0.0)], [(1, 2)], duration_s=4.0)

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.fleet.model import Fleet
-from agent.fleet.sections import ControlSection
-from agent.formation.geometry import resolve
-from deploy.analysis.couplings import COUPLINGS, _dies_away, _radius
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import ControlSection
+from handfast.agent.formation.geometry import resolve
+from handfast.deploy.analysis.couplings import COUPLINGS, _dies_away, _radius
 from tests.unit.deploy.synthetic_run import make_fleet
 
 PAIR = make_fleet([(0.0, 0.0), (2.0, 0.0)], [(1, 2)])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.control.law import RELAXATION_MIN, Gains
-from agent.formation.points import Floats
-from deploy.analysis import fleet_law as law
+from handfast.agent.control.law import RELAXATION_MIN, Gains
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis import fleet_law as law
 
 GAINS = Gains(kd=1.8, k2=5.0, kp=1.0)
 PAPER = Gains(kd=1.8, k2=5.0, kp=0.0)

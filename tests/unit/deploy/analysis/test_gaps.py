@@ -8,11 +8,11 @@ from math import inf
 import numpy as np
 import pytest
 
-from agent.formation.geometry import resolve
-from agent.messages.types import Event, PlantState
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.analysis.gaps import is_lost, kept_through, pose_gaps, unknown
-from deploy.recording.recording import Damage, Recording
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages.types import Event, PlantState
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.analysis.gaps import is_lost, kept_through, pose_gaps, unknown
+from handfast.deploy.recording.recording import Damage, Recording
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Path, make_fleet, messages, standing
 

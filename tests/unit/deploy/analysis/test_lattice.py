@@ -6,12 +6,12 @@ from math import hypot
 
 import pytest
 
-from agent.control.pace import steps
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolve, start_hands
-from deploy.analysis.lattice import ROBOTS_MIN, SCATTER_M, SIDE_M, edges, lattice, places
-from deploy.analysis.rigidity import is_rigid
-from deploy.check.check import check
+from handfast.agent.control.pace import steps
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolve, start_hands
+from handfast.deploy.analysis.lattice import ROBOTS_MIN, SCATTER_M, SIDE_M, edges, lattice, places
+from handfast.deploy.analysis.rigidity import is_rigid
+from handfast.deploy.check.check import check
 
 
 def test_a_patch_is_about_as_wide_as_high_and_its_middle_is_the_origin():

@@ -1,4 +1,4 @@
-"""deploy.analysis.patience: code of others that never returns does not hold up the rest."""
+"""handfast.deploy.analysis.patience: code of others that never returns does not hold up the rest."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.control.own_law import LawError
-from deploy.analysis import patience
-from deploy.analysis.patience import answer
+from handfast.agent.control.own_law import LawError
+from handfast.deploy.analysis import patience
+from handfast.deploy.analysis.patience import answer
 
 ROOT = Path(__file__).parents[4]
 
@@ -102,7 +102,7 @@ def test_an_interrupt_ends_both(tmp_path: Path) -> None:
 
 
 def test_what_is_printed_is_printed_once() -> None:
-    code = "from deploy.analysis.patience import answer; print(1); answer('it', lambda: print(2)); print(3)"
+    code = "from handfast.deploy.analysis.patience import answer; print(1); answer('it', lambda: print(2)); print(3)"
     printed = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60
     )

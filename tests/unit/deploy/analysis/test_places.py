@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.formation.geometry import resolve
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.analysis.places import allowed_m, distances_m, last_there_s, together
+from handfast.agent.formation.geometry import resolve
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.analysis.places import allowed_m, distances_m, last_there_s, together
 from tests.unit.deploy.judged_run import PAIR, body, recorded
 from tests.unit.deploy.synthetic_run import Path, make_fleet, messages, standing
 

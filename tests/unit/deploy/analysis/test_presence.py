@@ -7,10 +7,10 @@ from math import inf
 
 import numpy as np
 
-from agent.messages import key_expressions
-from agent.messages.types import Event, PlantState
-from deploy.analysis.presence import Down, downs, uncommanded, untold
-from deploy.recording.recording import Recording
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Event, PlantState
+from handfast.deploy.analysis.presence import Down, downs, uncommanded, untold
+from handfast.deploy.recording.recording import Recording
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, make_fleet, messages, standing
 

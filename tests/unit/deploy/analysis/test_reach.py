@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.boundaries import Circle, Polygon
-from agent.formation.points import Floats
-from deploy.analysis.clearances import distances
-from deploy.analysis.reach import Reach, Seen, apart, known, least_apart
+from handfast.agent.control.boundaries import Circle, Polygon
+from handfast.agent.formation.points import Floats
+from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.reach import Reach, Seen, apart, known, least_apart
 
 Points = list[tuple[float, float]]
 PLACE = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.types import Mission, Removed, Status
-from deploy.analysis.analysis import analyse
-from deploy.analysis.removals import carried_off
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Mission, Removed, Status
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.analysis.removals import carried_off
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 
 FLEET = make_fleet([(0.0, 0.0), (1.0, 0.0), (0.5, 1.0)], [(1, 2)], duration_s=8.0, rate_hz=20.0)

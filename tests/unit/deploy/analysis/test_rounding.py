@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.analysis.rounding import percentiles
+from handfast.deploy.analysis.rounding import percentiles
 
 PERCENTS = (0, 1, 5, 50, 95, 99, 99.9, 100)
 floats = st.floats(-1e12, 1e12)

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from agent.control.peers.beliefs import STANDS_S, stands_after
-from agent.control.peers.lateness import LATE_MAX_NS
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from deploy.analysis.silence import UNSURE_S, Links, Promise, promised
-from deploy.console.data_files import FLEETS
+from handfast.agent.control.peers.beliefs import STANDS_S, stands_after
+from handfast.agent.control.peers.lateness import LATE_MAX_NS
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.analysis.silence import UNSURE_S, Links, Promise, promised
+from handfast.deploy.console.data_files import FLEETS
 
 
 def fleet(*overrides: str) -> Fleet:

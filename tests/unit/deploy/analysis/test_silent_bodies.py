@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
-from deploy.analysis.silent_bodies import SilentBodies, bodies_of, in_words
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
+from handfast.deploy.analysis.silent_bodies import SilentBodies, bodies_of, in_words
 from tests.unit.deploy.synthetic_run import EPOCH_NS
 
 

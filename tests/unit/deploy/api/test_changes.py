@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.common.errors import Error
-from agent.common.reader import Problem
-from agent.fleet.model import FleetError
-from deploy.api.changes import Classes, in_words_of_python, override
-from deploy.recording.recorder import RecordingError
-from plant.backend import Reading
+from handfast.agent.common.errors import Error
+from handfast.agent.common.reader import Problem
+from handfast.agent.fleet.model import FleetError
+from handfast.deploy.api.changes import Classes, in_words_of_python, override
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.plant.backend import Reading
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ from plant.backend import Reading
         ((0.1, [2, 3]), [0.1, [2, 3]]),
         (OrderedDict(at=1.0, robots=[1]), {"at": 1.0, "robots": [1]}),
         (Path("a/b"), "a/b"),
-        (Reading, "plant.backend:Reading"),
+        (Reading, "handfast.plant.backend:Reading"),
     ],
     ids=repr,
 )

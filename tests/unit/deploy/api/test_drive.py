@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.common.errors import Error
-from agent.control.hand import Pose
-from agent.control.law_plugin import Law, Moment
-from deploy import cli
-from deploy.api.drive import run, simulate
-from deploy.api.fleet import load
-from plant.backend import Command, Plant, Reading, Setup
+from handfast.agent.common.errors import Error
+from handfast.agent.control.hand import Pose
+from handfast.agent.control.law_plugin import Law, Moment
+from handfast.deploy import cli
+from handfast.deploy.api.drive import run, simulate
+from handfast.deploy.api.fleet import load
+from handfast.plant.backend import Command, Plant, Reading, Setup
 
 
 def digest(path: Path) -> str:

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from agent.common.errors import Error
-from agent.fleet.loading import load_fleet
-from deploy.api.drive import run, simulate
-from deploy.api.fleet import Fleet, check, fleets, load, refuse_errors, scenarios
-from deploy.api.sweep import sweep
-from deploy.console.data_files import FLEETS
+from handfast.agent.common.errors import Error
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.api.drive import run, simulate
+from handfast.deploy.api.fleet import Fleet, check, fleets, load, refuse_errors, scenarios
+from handfast.deploy.api.sweep import sweep
+from handfast.deploy.console.data_files import FLEETS
 
 DELTA = FLEETS / "delta.toml"
 

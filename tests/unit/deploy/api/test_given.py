@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from agent.common.errors import Error
-from deploy.api.drive import run, simulate
-from deploy.api.fleet import load
-from deploy.api.given import Known, a_path
-from deploy.api.recording import Recording
-from deploy.api.sweep import sweep
+from handfast.agent.common.errors import Error
+from handfast.deploy.api.drive import run, simulate
+from handfast.deploy.api.fleet import load
+from handfast.deploy.api.given import Known, a_path
+from handfast.deploy.api.recording import Recording
+from handfast.deploy.api.sweep import sweep
 
 
 @pytest.fixture(scope="module")

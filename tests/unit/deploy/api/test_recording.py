@@ -12,11 +12,11 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
-from agent.common.errors import Error
-from deploy.api.drive import simulate
-from deploy.api.fleet import load
-from deploy.api.recording import Recording, load_recording
-from deploy.report.export import tabulate
+from handfast.agent.common.errors import Error
+from handfast.deploy.api.drive import simulate
+from handfast.deploy.api.fleet import load
+from handfast.deploy.api.recording import Recording, load_recording
+from handfast.deploy.report.export import tabulate
 from tests.passing_law import PassingLaw
 
 
@@ -91,7 +91,7 @@ def test_a_picture_that_is_none_or_without_matplotlib_is_said(
 ) -> None:
     with pytest.raises(Error, match="there is no picture 'nope'; there are trajectories, distances"):
         recording.plot("nope")
-    monkeypatch.delitem(sys.modules, "deploy.report.figures")
+    monkeypatch.delitem(sys.modules, "handfast.deploy.report.figures")
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(
         Error, match=r"^Recording\.plot needs the package .* pip install 'handfast\[operator\]'$"

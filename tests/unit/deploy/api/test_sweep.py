@@ -13,10 +13,10 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
-from agent.common.errors import Error
-from agent.control.law_plugin import Law
-from deploy.api.drive import simulate
-from deploy.api.sweep import Sweep, sweep
+from handfast.agent.common.errors import Error
+from handfast.agent.control.law_plugin import Law
+from handfast.deploy.api.drive import simulate
+from handfast.deploy.api.sweep import Sweep, sweep
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_keys_of_hosts_are_taken_where_that_is_asked_for(monkeypatch: pytest.Mon
     def engine(*given: object, **named: object) -> None:
         raise AskedError(given[0], named["accept_new"])
 
-    monkeypatch.setattr("deploy.api.sweep.make_engine", engine)
+    monkeypatch.setattr("handfast.deploy.api.sweep.make_engine", engine)
     for accept in (False, True):
         with pytest.raises(AskedError) as asked:
             sweep("pair", cluster="ssh:there.toml", accept_new_host_keys=accept)

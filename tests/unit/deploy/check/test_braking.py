@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from agent.control.safety_distances import barrier_rate
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from deploy.analysis.analysis import analyse
-from deploy.check.braking import check_braking
-from deploy.check.check import check
-from deploy.check.finding import Finding
-from deploy.console.data_files import FLEETS
-from deploy.simulate import judged
+from handfast.agent.control.safety_distances import barrier_rate
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.check.braking import check_braking
+from handfast.deploy.check.check import check
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate import judged
 from tests.unit.agent.fleet.fleet_texts import small
 
 SLOW = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")

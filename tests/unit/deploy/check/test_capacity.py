@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.fleet.process_section import ProcessSection
-from agent.formation.geometry import resolved
-from deploy.analysis.lattice import lattice
-from deploy.check import capacity
-from deploy.check.capacity import (
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.check import capacity
+from handfast.deploy.check.capacity import (
     AGENT_COMPILED,
     FULL,
     ROBOTS_MIN,
@@ -30,9 +30,9 @@ from deploy.check.capacity import (
     that_fits,
     used,
 )
-from deploy.check.check import check
-from deploy.check.load.network import load_of
-from deploy.console.data_files import FLEETS
+from handfast.deploy.check.check import check
+from handfast.deploy.check.load.network import load_of
+from handfast.deploy.console.data_files import FLEETS
 
 LAPTOP = Machine(2.0, 1.0)
 

@@ -10,15 +10,21 @@ import numpy as np
 import pytest
 import tomli_w
 
-from agent.fleet.loading import parse_fleet, to_dict
-from agent.fleet.model import Fleet
-from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.formation.geometry import resolve, start_hands
-from deploy.analysis import fleet_law
-from deploy.analysis.couplings import COUPLINGS, Mode, coupling_of
-from deploy.analysis.stability import sampled_radius, settling_time
-from deploy.check.check import Finding, check
-from deploy.check.description import describe
+from handfast.agent.fleet.loading import parse_fleet, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import (
+    ControlSection,
+    FleetSection,
+    FormationSection,
+    Robot,
+    TrajectorySection,
+)
+from handfast.agent.formation.geometry import resolve, start_hands
+from handfast.deploy.analysis import fleet_law
+from handfast.deploy.analysis.couplings import COUPLINGS, Mode, coupling_of
+from handfast.deploy.analysis.stability import sampled_radius, settling_time
+from handfast.deploy.check.check import Finding, check
+from handfast.deploy.check.description import describe
 
 H = sqrt(3.0) / 2.0
 EDGES = ((1, 2), (1, 3), (2, 3), (2, 4), (2, 5), (3, 5), (3, 6), (4, 5), (5, 6))

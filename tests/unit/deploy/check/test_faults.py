@@ -6,17 +6,17 @@ import re
 
 import pytest
 
-from agent.common.random_streams import stream
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.impairments.impairments import Loss
-from agent.messages.codec import encode
-from agent.messages.types import HandState
-from deploy.check.check import Finding, check
-from deploy.check.description import describe
-from deploy.check.faults import silences
-from deploy.console.data_files import FLEETS
+from handfast.agent.common.random_streams import stream
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.impairments.impairments import Loss
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import HandState
+from handfast.deploy.check.check import Finding, check
+from handfast.deploy.check.description import describe
+from handfast.deploy.check.faults import silences
+from handfast.deploy.console.data_files import FLEETS
 from tests.unit.deploy.simulated_run import driven
 
 DELTA = FLEETS / "delta.toml"

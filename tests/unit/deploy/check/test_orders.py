@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.check.check import check
-from deploy.check.finding import Finding
+from handfast.deploy.check.check import check
+from handfast.deploy.check.finding import Finding
 from tests.unit.deploy.orders.order_fleets import SQUARE, square
 
 JOIN = '[[order]]\nat = {at}\nkind = "join"\nrobot = 7\nedges = [3, 4]\noffset_m = [0.5, 1.9]\n'

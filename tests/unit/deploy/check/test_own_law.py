@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from agent.common import plugins
-from agent.control.law_plugin import Moment
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from deploy.analysis import patience
-from deploy.check.check import Finding, check
-from deploy.check.description import describe
-from deploy.console.arguments import fleet_path
+from handfast.agent.common import plugins
+from handfast.agent.control.law_plugin import Moment
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.analysis import patience
+from handfast.deploy.check.check import Finding, check
+from handfast.deploy.check.description import describe
+from handfast.deploy.console.arguments import fleet_path
 from tests.unit.agent.control.laws import Good, Modal, known
 
 

@@ -1,4 +1,4 @@
-"""deploy.check.own_plant: a plant of others is made and asked once before anything drives."""
+"""handfast.deploy.check.own_plant: a plant of others is made and asked once before anything drives."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections.abc import Iterator
 
 import pytest
 
-from agent.common import plugins
-from agent.control.hand import Pose
-from agent.fleet.loading import load_fleet
-from deploy.analysis import patience
-from deploy.check import own_plant
-from deploy.check.check import check
-from deploy.check.finding import Finding
-from deploy.check.own_plant import check_own_plants
-from deploy.console.data_files import FLEETS
-from plant.backend import Command, Plant, Reading, Setup
+from handfast.agent.common import plugins
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.analysis import patience
+from handfast.deploy.check import own_plant
+from handfast.deploy.check.check import check
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.check.own_plant import check_own_plants
+from handfast.deploy.console.data_files import FLEETS
+from handfast.plant.backend import Command, Plant, Reading, Setup
 
 
 class Good(Plant):

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.process_section import ProcessSection
-from deploy.check.realtime import check_cores, check_realtime
-from deploy.console.data_files import FLEETS
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.deploy.check.realtime import check_cores, check_realtime
+from handfast.deploy.console.data_files import FLEETS
 
 DELTA = load_fleet(FLEETS / "delta.toml")
 

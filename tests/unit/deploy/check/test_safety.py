@@ -7,14 +7,14 @@ from math import pi
 import numpy as np
 import pytest
 
-from agent.control.boundaries import Circle, Polygon
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from deploy.check.description import describe
-from deploy.check.finding import Finding
-from deploy.check.paths import Paths
-from deploy.check.safety import check_safety, parting, start_points
+from handfast.agent.control.boundaries import Circle, Polygon
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.deploy.check.description import describe
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.check.paths import Paths
+from handfast.deploy.check.safety import check_safety, parting, start_points
 
 # Three robots in a row from west to east, 1 m apart, 0.1 m ahead of their axles; they drive east.
 ROW = """

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from deploy.check.check import check
-from deploy.check.description import describe
-from deploy.check.finding import Finding
-from deploy.check.vehicles import check_vehicles
-from deploy.console.data_files import FLEETS
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.deploy.check.check import check
+from handfast.deploy.check.description import describe
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.check.vehicles import check_vehicles
+from handfast.deploy.console.data_files import FLEETS
 
 
 def rovers(*overrides: str) -> Fleet:

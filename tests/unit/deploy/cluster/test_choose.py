@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.errors import MissingPackageError
-from agent.fleet.loading import load_fleet
-from deploy.cluster import choose
-from deploy.cluster.choose import ClusterOptionError, check_cluster, make_engine
-from deploy.cluster.engine import Cluster
-from deploy.console.data_files import FLEETS, ROOT
-from deploy.simulate.worker_pool import Pool
+from handfast.agent.common.errors import MissingPackageError
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.cluster import choose
+from handfast.deploy.cluster.choose import ClusterOptionError, check_cluster, make_engine
+from handfast.deploy.cluster.engine import Cluster
+from handfast.deploy.console.data_files import FLEETS, ROOT
+from handfast.deploy.simulate.worker_pool import Pool
 from tests.passing_law import PassingLaw
 from tests.unit.deploy.cluster.test_sent import Doubles
 
@@ -115,7 +115,7 @@ def test_anything_else_is_one_line(where: str) -> None:
 
 
 def test_a_package_that_is_lacking_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "deploy.cluster.engine", raising=False)
+    monkeypatch.delitem(sys.modules, "handfast.deploy.cluster.engine", raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'handfast\[cluster\]'"):
         check_cluster("tcp://there:8786")
@@ -130,7 +130,7 @@ def test_a_configuration_of_dask_that_cannot_be_read_is_one_line(
 ) -> None:
     (tmp_path / "dask.yaml").write_text(text)
     code = (
-        "from deploy.cluster.choose import ClusterOptionError, check_cluster\n"
+        "from handfast.deploy.cluster.choose import ClusterOptionError, check_cluster\n"
         f"try:\n    check_cluster({where!r})\nexcept ClusterOptionError as error:\n    print(error)\n"
     )
     environment = dict(os.environ) | {"DASK_CONFIG": str(tmp_path)}
@@ -159,6 +159,8 @@ def test_plugins_of_a_fleet_go_along(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_dask_is_not_loaded_where_no_cluster_is_asked_for() -> None:
-    modules = "deploy.cluster.choose, deploy.commands.local.sweep, deploy.api.sweep"
+    modules = (
+        "handfast.deploy.cluster.choose, handfast.deploy.commands.local.sweep, handfast.deploy.api.sweep"
+    )
     code = f"import sys, {modules}; sys.exit('distributed' in sys.modules or 'dask' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -15,8 +15,8 @@ import pytest
 from distributed.security import Security
 from distributed.versions import VersionMismatchWarning
 
-from deploy.cluster import connection
-from deploy.cluster.connection import ClusterError, GivenUp, connected, patiently
+from handfast.deploy.cluster import connection
+from handfast.deploy.cluster.connection import ClusterError, GivenUp, connected, patiently
 
 
 async def stubborn() -> None:

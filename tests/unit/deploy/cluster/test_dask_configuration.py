@@ -9,9 +9,9 @@ from pathlib import Path
 import dask
 import pytest
 
-from deploy.cluster.connection import ClusterError
-from deploy.cluster.dask_configuration import configured_security
-from deploy.cluster.on_hosts import credentials
+from handfast.deploy.cluster.connection import ClusterError
+from handfast.deploy.cluster.dask_configuration import configured_security
+from handfast.deploy.cluster.on_hosts import credentials
 
 TLS = "distributed.comm.tls"
 KEY, CERTIFICATE = credentials()

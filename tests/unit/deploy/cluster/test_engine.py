@@ -13,13 +13,13 @@ import dask
 import pytest
 from distributed.client import AllExit, FutureCancelledError
 
-from deploy.cluster import engine
-from deploy.cluster.connection import ClusterError, GivenUp
-from deploy.cluster.engine import AHEAD, DEMAND_MAX, NOBODY_HAS, Cluster
-from deploy.cluster.on_worker import UnknownCampaign
-from deploy.cluster.sent import Unfinished, Unreadable
-from deploy.cluster.watch import Seen, There
-from deploy.simulate.worker_pool import EngineLost
+from handfast.deploy.cluster import engine
+from handfast.deploy.cluster.connection import ClusterError, GivenUp
+from handfast.deploy.cluster.engine import AHEAD, DEMAND_MAX, NOBODY_HAS, Cluster
+from handfast.deploy.cluster.on_worker import UnknownCampaign
+from handfast.deploy.cluster.sent import Unfinished, Unreadable
+from handfast.deploy.cluster.watch import Seen, There
+from handfast.deploy.simulate.worker_pool import EngineLost
 
 
 class Numbers:

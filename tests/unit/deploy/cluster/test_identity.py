@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.errors import MissingPackageError
-from deploy.cluster import identity as module
-from deploy.cluster.identity import (
+from handfast.agent.common.errors import MissingPackageError
+from handfast.deploy.cluster import identity as module
+from handfast.deploy.cluster.identity import (
     CHANGED,
     LIBRARIES,
     NEEDED,
@@ -17,8 +17,8 @@ from deploy.cluster.identity import (
     identity,
     refuse_lacking,
 )
-from deploy.console.data_files import ROOT
-from deploy.console.sources import sources_digest
+from handfast.deploy.console.data_files import ROOT
+from handfast.deploy.console.sources import sources_digest
 
 
 def test_it_names_all_that_decides_the_bytes_of_a_run() -> None:

@@ -11,14 +11,14 @@ from types import SimpleNamespace
 import dask
 import pytest
 
-from agent.fleet.hosts import HostSection
-from deploy.cluster.on_hosts import HostsCluster, credentials
-from deploy.cluster.watch import ClusterError
-from deploy.cluster.worker_process import security
-from deploy.console.data_files import FLEETS, WORKER_REQUIREMENTS
-from deploy.hosts.artifacts.bundle import PACKAGES, program_archive
-from deploy.hosts.connection import HostError
-from deploy.hosts.view import Row
+from handfast.agent.fleet.hosts import HostSection
+from handfast.deploy.cluster.on_hosts import HostsCluster, credentials
+from handfast.deploy.cluster.watch import ClusterError
+from handfast.deploy.cluster.worker_process import security
+from handfast.deploy.console.data_files import FLEETS, WORKER_REQUIREMENTS
+from handfast.deploy.hosts.artifacts.bundle import PACKAGES, program_archive
+from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.hosts.view import Row
 from tests.unit.deploy.cluster.test_sent import Doubles
 
 
@@ -80,7 +80,7 @@ def test_a_host_that_cannot_be_logged_into_is_named_at_once_while_others_work(
         def abort(self) -> None:
             ended.set()
 
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", Connection)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", Connection)
     found = HostsCluster(str(file), Doubles(), 9.0, files={}, say=told.put, accept_new=accept_new)
     found._jobs = found._make_jobs()
     with found._jobs as jobs:

@@ -10,9 +10,9 @@ from typing import Any
 import distributed
 import pytest
 
-from deploy.cluster import on_worker
-from deploy.cluster.identity import SOURCES, differences, identity
-from deploy.simulate.worker_pool import Abandoned
+from handfast.deploy.cluster import on_worker
+from handfast.deploy.cluster.identity import SOURCES, differences, identity
+from handfast.deploy.simulate.worker_pool import Abandoned
 
 
 class Here:

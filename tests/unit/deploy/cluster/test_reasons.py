@@ -8,7 +8,7 @@ import ssl
 import pytest
 from distributed.comm.core import CommClosedError, FatalCommClosedError
 
-from deploy.cluster.reasons import error_line, why_not
+from handfast.deploy.cluster.reasons import error_line, why_not
 
 TCP = "tcp://there:8786"
 TLS = "tls://there:8786"

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from deploy.cluster import same_program
-from deploy.cluster.same_program import SameProgram, program_digest
-from deploy.console.data_files import FLEETS, ROOT
-from deploy.console.sources import sources_digest
-from deploy.simulate.worker_pool import Refused
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.cluster import same_program
+from handfast.deploy.cluster.same_program import SameProgram, program_digest
+from handfast.deploy.console.data_files import FLEETS, ROOT
+from handfast.deploy.console.sources import sources_digest
+from handfast.deploy.simulate.worker_pool import Refused
 from tests.passing_law import PassingLaw
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cluster.sent import SentWork, Unfinished, Unreadable, pack, write_files
+from handfast.deploy.cluster.sent import SentWork, Unfinished, Unreadable, pack, write_files
 
 
 class Doubles:

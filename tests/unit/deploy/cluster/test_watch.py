@@ -10,11 +10,11 @@ from typing import Any
 import cloudpickle
 import pytest
 
-from deploy.cluster import watch
-from deploy.cluster.connection import ClusterError
-from deploy.cluster.identity import NONE, SOURCES, identity
-from deploy.cluster.on_worker import PROCESS
-from deploy.cluster.watch import There, Watch, remote
+from handfast.deploy.cluster import watch
+from handfast.deploy.cluster.connection import ClusterError
+from handfast.deploy.cluster.identity import NONE, SOURCES, identity
+from handfast.deploy.cluster.on_worker import PROCESS
+from handfast.deploy.cluster.watch import There, Watch, remote
 
 HERE = f"{sys.version_info[0]}.{sys.version_info[1]}.9.final.0"
 
@@ -160,9 +160,9 @@ def test_a_scheduler_of_another_python_is_refused() -> None:
 
 def test_what_is_sent_imports_its_module_only_where_it_is_called(monkeypatch: pytest.MonkeyPatch) -> None:
     """A scheduler reads it and need not have handfast: it travels by value."""
-    data = cloudpickle.dumps(remote("deploy.cluster.sent", "pack"))
-    monkeypatch.setitem(sys.modules, "deploy.cluster.watch", None)
-    monkeypatch.setitem(sys.modules, "deploy.cluster.sent", None)
+    data = cloudpickle.dumps(remote("handfast.deploy.cluster.sent", "pack"))
+    monkeypatch.setitem(sys.modules, "handfast.deploy.cluster.watch", None)
+    monkeypatch.setitem(sys.modules, "handfast.deploy.cluster.sent", None)
     read = cloudpickle.loads(data)
     with pytest.raises(ModuleNotFoundError):
         read(1)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cluster import worker_on_host
-from deploy.cluster.worker_on_host import Started
-from deploy.hosts.remote_program import HostError
+from handfast.deploy.cluster import worker_on_host
+from handfast.deploy.cluster.worker_on_host import Started
+from handfast.deploy.hosts.remote_program import HostError
 from tests.process.harness import environment, running, wait_for
 
 
@@ -71,7 +71,7 @@ def test_without_ssh_nobody_says_where_the_scheduler_is(monkeypatch: pytest.Monk
 
 ORPHAN = """
 import json, pathlib, sys
-from deploy.cluster import worker_on_host
+from handfast.deploy.cluster import worker_on_host
 worker_on_host.UNASKED_S = 0.3
 worker_on_host.inside = lambda _: pathlib.Path(sys.argv[1])
 worker_on_host.start_worker("1", 8786, {})

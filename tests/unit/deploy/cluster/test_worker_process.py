@@ -8,8 +8,8 @@ from typing import Any
 import distributed
 import pytest
 
-from deploy.cluster.on_hosts import credentials
-from deploy.cluster.worker_process import DEATH_TIMEOUT_S, serve
+from handfast.deploy.cluster.on_hosts import credentials
+from handfast.deploy.cluster.worker_process import DEATH_TIMEOUT_S, serve
 
 
 class Nanny:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.console.arguments import InputError, fleet_path, report_arguments, scenario_path
-from deploy.console.data_files import FLEETS
+from handfast.deploy.console.arguments import InputError, fleet_path, report_arguments, scenario_path
+from handfast.deploy.console.data_files import FLEETS
 
 
 def test_a_file_goes_before_a_bundled_fleet_and_a_folder_does_not(

@@ -15,8 +15,8 @@ from typing import Final
 
 import pytest
 
-from deploy import cli
-from deploy.console.interrupt import Interrupt, as_python_does, remembered
+from handfast.deploy import cli
+from handfast.deploy.console.interrupt import Interrupt, as_python_does, remembered
 
 
 @pytest.fixture(autouse=True)
@@ -135,7 +135,7 @@ def test_the_command_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 WITHIN_EXEC: Final = """
 import signal, sys
 from types import SimpleNamespace
-from deploy import cli
+from handfast.deploy import cli
 signal.signal(signal.SIGINT, signal.default_int_handler)
 command = lambda _: exec("signal.raise_signal(signal.SIGINT)\\nwhile True: pass")
 cli._parser = lambda _: SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))

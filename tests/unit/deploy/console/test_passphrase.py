@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from deploy.console import passphrase as module
-from deploy.console.arguments import InputError
-from deploy.console.passphrase import LENGTH_MIN, PASSPHRASE, passphrase
+from handfast.deploy.console import passphrase as module
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.console.passphrase import LENGTH_MIN, PASSPHRASE, passphrase
 
 GOOD = "correct horse battery"
 

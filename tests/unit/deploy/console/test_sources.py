@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deploy.console.sources import PACKAGES, sources_digest
+from handfast.deploy.console.sources import PACKAGES, sources_digest
 
 
 def tree(folder: Path) -> Path:

@@ -7,7 +7,7 @@ from datetime import datetime
 
 import pytest
 
-from deploy.console.times import point_in_time
+from handfast.deploy.console.times import point_in_time
 
 NOW_S = datetime(2026, 11, 20, 14, 30, 15).timestamp()
 

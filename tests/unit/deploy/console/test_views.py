@@ -12,12 +12,12 @@ from typing import TextIO
 
 import pytest
 
-from deploy.console.terminal import TerminalView
-from deploy.drive.display import terminal_view
-from deploy.drive.display.live_view import make_view
-from deploy.drive.watch import Picture, RobotPicture
-from deploy.hosts import view
-from deploy.hosts.view import Row, make_hosts_view
+from handfast.deploy.console.terminal import TerminalView
+from handfast.deploy.drive.display import terminal_view
+from handfast.deploy.drive.display.live_view import make_view
+from handfast.deploy.drive.watch import Picture, RobotPicture
+from handfast.deploy.hosts import view
+from handfast.deploy.hosts.view import Row, make_hosts_view
 
 EVIL = "[/x] [bold]a\x1b[2Jb\nc"
 SAFE = "[/x] [bold]a\\x1b[2Jb\\nc"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.console.wording import ALIKE_MAX, grouped, robots, some
+from handfast.deploy.console.wording import ALIKE_MAX, grouped, robots, some
 
 
 def test_names_of_robots_read_as_text() -> None:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from agent.messages.key_expressions import ROLES
-from deploy.drive.attached import NAMED_MAX, Attached
-from deploy.faults.process_actions import Action
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.deploy.drive.attached import NAMED_MAX, Attached
+from handfast.deploy.faults.process_actions import Action
 from tests.unit.agent.fleet.test_hosts import fleet as hosts_fleet
 from tests.unit.deploy.orders.order_fleets import square
 

@@ -13,27 +13,27 @@ from typing import Any, cast
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from agent.fleet.fault_rules import Rule
-from agent.fleet.loading import digest, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
-from agent.transport.bus import Bus
-from deploy.console.interrupt import Interrupt
-from deploy.drive.attached import Attached
-from deploy.drive.display.live_view import Lines
-from deploy.drive.drive import FRESH_NS, SHOW_FIRST_NS, SHOW_PERIOD_NS, STOOD_NS, Drive
-from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
-from deploy.drive.timing import Timing
-from deploy.faults.process_actions import Action
-from deploy.orders.operator import Operator
-from deploy.recording.recorder import RecordingError
-from deploy.session.session import valid
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.agent.fleet.fault_rules import Rule
+from handfast.agent.fleet.loading import digest, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
+from handfast.agent.transport.bus import Bus
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.drive.attached import Attached
+from handfast.deploy.drive.display.live_view import Lines
+from handfast.deploy.drive.drive import FRESH_NS, SHOW_FIRST_NS, SHOW_PERIOD_NS, STOOD_NS, Drive
+from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
+from handfast.deploy.drive.timing import Timing
+from handfast.deploy.faults.process_actions import Action
+from handfast.deploy.orders.operator import Operator
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.session.session import valid
 from tests.unit.deploy.orders.order_fleets import order
 
 S = 1_000_000_000
@@ -485,9 +485,9 @@ def test_what_rules_do_is_done_at_its_time(monkeypatch: pytest.MonkeyPatch) -> N
         now_ns[0] += max(1_000, round(time_s * S))
 
     clock = SimpleNamespace(now_ns=lambda: now_ns[0])
-    monkeypatch.setattr("deploy.drive.fleet_state.RealClock", lambda: clock)
+    monkeypatch.setattr("handfast.deploy.drive.fleet_state.RealClock", lambda: clock)
     of_drive = SimpleNamespace(sleep=sleep, time_ns=clock.now_ns, monotonic=lambda: now_ns[0] / S)
-    monkeypatch.setattr("deploy.drive.drive.time", of_drive)
+    monkeypatch.setattr("handfast.deploy.drive.drive.time", of_drive)
     rules = (
         Rule(name="crash", robot=2, kill="agent", at=0.513, duration=0.0171),
         Rule(name="again", robot=1, restart="plant", at=0.61),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.drive.lagging import PATIENCE_S, Lagging
+from handfast.deploy.drive.lagging import PATIENCE_S, Lagging
 
 ALLOWED_M = 0.25
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agent.messages.types import Mission, Resume, Stop
-from deploy.drive.news import AGAIN_NS, CHANGED, ORDERED, SENTENCES_MAX, Happening, News
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.deploy.drive.news import AGAIN_NS, CHANGED, ORDERED, SENTENCES_MAX, Happening, News
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square("fleet.duration_s=60")

@@ -8,11 +8,11 @@ from typing import cast
 
 import pytest
 
-from agent.messages.types import Mission, PlantState
-from deploy.console.interrupt import Interrupt
-from deploy.drive.outcome import conclude, finish
-from deploy.report.run_folder import NotDrawn, RunFolder
-from deploy.verdict.run_result import RunResult
+from handfast.agent.messages.types import Mission, PlantState
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.drive.outcome import conclude, finish
+from handfast.deploy.report.run_folder import NotDrawn, RunFolder
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, standing
 

@@ -6,12 +6,12 @@ import time
 
 import pytest
 
-from agent.fleet.loading import digest
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.types import Mission, Resume, Status, Stop
-from deploy.drive.preconditions import CAME_UP, GOES_DOWN, OVER, clock, is_lifted, refusal, somebodys
-from deploy.orders.operator import Operator
+from handfast.agent.fleet.loading import digest
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Mission, Resume, Status, Stop
+from handfast.deploy.drive.preconditions import CAME_UP, GOES_DOWN, OVER, clock, is_lifted, refusal, somebodys
+from handfast.deploy.orders.operator import Operator
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.messages.types import PlantState, Status
-from deploy.drive.readiness import in_words, is_ready, may_begin, stands, waits
+from handfast.agent.messages.types import PlantState, Status
+from handfast.deploy.drive.readiness import in_words, is_ready, may_begin, stands, waits
 
 
 def status(state: str, reason: str = "") -> Status:

@@ -11,17 +11,17 @@ from typing import cast
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.fleet.process_section import ProcessSection
-from agent.runtime.realtime_granted import SCHED_FIFO, Granted, Thread
-from deploy.cli import main
-from deploy.console.data_files import FLEETS
-from deploy.drive import realtime
-from deploy.drive.preflight import is_simulated, show, summary, to_json
-from deploy.drive.realtime import RECORDING_NICE, in_words, lines, trial
-from deploy.drive.vehicle_checks import OK, WARNING, Line
-from deploy.processes.protocol import FleetProcesses
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.runtime.realtime_granted import SCHED_FIFO, Granted, Thread
+from handfast.deploy.cli import main
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.drive import realtime
+from handfast.deploy.drive.preflight import is_simulated, show, summary, to_json
+from handfast.deploy.drive.realtime import RECORDING_NICE, in_words, lines, trial
+from handfast.deploy.drive.vehicle_checks import OK, WARNING, Line
+from handfast.deploy.processes.protocol import FleetProcesses
 
 ASKED = ProcessSection(realtime=True)
 LINKS = (Thread(11, "app-0", SCHED_FIFO, 40, (0, 1)), Thread(12, "app-1", SCHED_FIFO, 40, (0, 1)))

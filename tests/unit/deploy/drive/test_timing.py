@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.drive.timing import Timing
+from handfast.deploy.drive.timing import Timing
 
 
 def test_a_fleet_may_take_longer_the_larger_it_is_and_vehicles_as_long_as_they_do() -> None:

@@ -6,14 +6,14 @@ import io
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet
-from agent.messages import key_expressions
-from agent.messages.types import Checks, PlantState, Status
-from deploy.console.data_files import FLEETS
-from deploy.drive.preflight import Found, columns, death, passed, show, summary, to_json
-from deploy.drive.readiness import in_words, may_begin, waits
-from deploy.drive.vehicle_checks import SETTLE_NS, Line, VehicleChecks
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Checks, PlantState, Status
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.drive.preflight import Found, columns, death, passed, show, summary, to_json
+from handfast.deploy.drive.readiness import in_words, may_begin, waits
+from handfast.deploy.drive.vehicle_checks import SETTLE_NS, Line, VehicleChecks
 
 ROVERS = load_fleet(FLEETS / "rovers.toml", ["robot.6.plant=unicycle"])
 T0 = 1_800_000_000 * NS_PER_S

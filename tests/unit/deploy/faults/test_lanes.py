@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from deploy.faults.lanes import lanes
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
+from handfast.deploy.faults.lanes import lanes
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
 from tests.unit.deploy.simulated_run import driven, trio
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.scenario import parse_scenario
-from deploy.faults.process_actions import Action, actions
+from handfast.agent.fleet.scenario import parse_scenario
+from handfast.deploy.faults.process_actions import Action, actions
 
 IDS = (1, 2, 3)
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.transport.bus import BusError
-from deploy.hosts import at_rest
-from deploy.hosts.at_rest import Rest, rest_of
-from deploy.hosts.connection import HostError
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.hosts import at_rest
+from handfast.deploy.hosts.at_rest import Rest, rest_of
+from handfast.deploy.hosts.connection import HostError
 from tests.unit.deploy.hosts.test_up import There, World
 from tests.unit.deploy.hosts.two_hosts import fleet
 
@@ -18,8 +18,8 @@ from tests.unit.deploy.hosts.two_hosts import fleet
 def world(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> World:
     where = {"rover1": {"address": "10.0.0.1"}, "rover2": {"address": "10.0.0.2"}}
     there = World(fleet(where, network={"security": "off"}))
-    monkeypatch.setattr("deploy.session.session.operator_bus", lambda *_, **__: there)
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
+    monkeypatch.setattr("handfast.deploy.session.session.operator_bus", lambda *_, **__: there)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", there.host)
     monkeypatch.setattr(at_rest, "LISTEN_S", 0.1)
     return there
 
@@ -63,7 +63,7 @@ def test_without_a_bus_the_hosts_tell(world: World, monkeypatch: pytest.MonkeyPa
     def refused(*_: object, **__: object) -> None:
         raise BusError("no router answers")
 
-    monkeypatch.setattr("deploy.session.session.operator_bus", refused)
+    monkeypatch.setattr("handfast.deploy.session.session.operator_bus", refused)
     world.says = {1: "running", 2: "ready"}
     assert rest_of(world.fleet, "f.toml") == Rest((1,), ())
 

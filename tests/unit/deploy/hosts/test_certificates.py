@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.security import __main__
-from agent.security.credentials import authority_of, load
-from agent.security.identity import of_robot
-from deploy.hosts.certificates import AnotherAuthorityError, HostKeys
-from deploy.hosts.connection import HostError
-from deploy.inventory.certificate_authority import Authority
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security import __main__
+from handfast.agent.security.credentials import authority_of, load
+from handfast.agent.security.identity import of_robot
+from handfast.deploy.hosts.certificates import AnotherAuthorityError, HostKeys
+from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.inventory.certificate_authority import Authority
 from tests.trusted import credentials
 from tests.unit.agent.security.test_credentials import Standard
 from tests.unit.deploy.hosts.two_hosts import fleet
@@ -33,7 +33,7 @@ class There:
         self.asked: list[str] = []
 
     def ask(self, what: str, *, module: str, arguments: list[str], version: str, text: str) -> Any:
-        assert (what, module, version) == ("run", "agent.security", "1-aa")
+        assert (what, module, version) == ("run", "handfast.agent.security", "1-aa")
         self.asked.append(arguments[0])
         self._patch.setattr("sys.stdin", Standard(text.encode()))
         assert __main__.main(arguments) == 0

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from deploy.hosts import connection, remote_program
-from deploy.hosts.connection import HostConnection, HostError
+from handfast.agent.fleet.hosts import HostSection
+from handfast.deploy.hosts import connection, remote_program
+from handfast.deploy.hosts.connection import HostConnection, HostError
 
 HOST = HostSection("rover1", "10.0.0.1")
 FAKE = """#!/bin/sh

@@ -13,12 +13,12 @@ from typing import Any, ClassVar
 import pytest
 import tomli_w
 
-from agent.fleet.loading import to_dict
-from deploy.commands.hosts import fetch as fetch_command
-from deploy.console.arguments import InputError, no_changes
-from deploy.hosts.connection import HostError
-from deploy.hosts.fetch import FILES_MAX, NAME_BYTES, SHARE_MAX, Fetching
-from deploy.hosts.view import Row
+from handfast.agent.fleet.loading import to_dict
+from handfast.deploy.commands.hosts import fetch as fetch_command
+from handfast.deploy.console.arguments import InputError, no_changes
+from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.hosts.fetch import FILES_MAX, NAME_BYTES, SHARE_MAX, Fetching
+from handfast.deploy.hosts.view import Row
 from tests.unit.agent.fleet.test_hosts import HOSTS, fleet
 
 FLEET = fleet(HOSTS)
@@ -76,7 +76,7 @@ def kept(cache: Path) -> dict[str, bytes]:
 
 
 def test_what_is_here_already_is_not_sent_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("deploy.hosts.fetch.PART_BYTES", 4)
+    monkeypatch.setattr("handfast.deploy.hosts.fetch.PART_BYTES", 4)
     there = There(**{name(1): b"one and more", name(2): b"two"})
     work, row = bring(there)
     assert work.folders == {ROBOT: cache}
@@ -156,8 +156,8 @@ def test_a_host_that_gives_drop_by_drop_is_given_up(cache: Path, monkeypatch: py
         nonlocal now_s
         now_s += 59.0
 
-    monkeypatch.setattr("deploy.hosts.fetch.time.monotonic", lambda: now_s)
-    monkeypatch.setattr("deploy.hosts.fetch.PART_BYTES", 4)
+    monkeypatch.setattr("handfast.deploy.hosts.fetch.time.monotonic", lambda: now_s)
+    monkeypatch.setattr("handfast.deploy.hosts.fetch.PART_BYTES", 4)
     there = There(**{name(1): bytes(100_000)})
     there.before_get = hour
     with pytest.raises(HostError, match="is too slow: less than 20 kB/s came"):
@@ -173,7 +173,7 @@ def test_a_disk_that_is_full_here_is_said_to_be_ours(cache: Path, monkeypatch: p
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     there.files[name(2)] = b"two"
-    monkeypatch.setattr("deploy.hosts.fetch.PART_BYTES", 1)
+    monkeypatch.setattr("handfast.deploy.hosts.fetch.PART_BYTES", 1)
     there.before_get = full
     work = Fetching(FLEET, None)
     why = rf"this computer cannot keep it in {cache}: No space left on device"
@@ -234,7 +234,9 @@ def options(file: Path, **given: Any) -> argparse.Namespace:
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "two.toml"
     path.write_text(tomli_w.dumps(to_dict(FLEET)))
-    monkeypatch.setattr("deploy.hosts.jobs.HostJobs.__enter__", lambda _: pytest.fail("hosts are asked"))
+    monkeypatch.setattr(
+        "handfast.deploy.hosts.jobs.HostJobs.__enter__", lambda _: pytest.fail("hosts are asked")
+    )
     return path
 
 
@@ -265,8 +267,8 @@ def test_ctrl_c_ends_the_merging(file: Path, monkeypatch: pytest.MonkeyPatch) ->
 
         def wait(self, *_: object) -> None: ...
 
-    monkeypatch.setattr("deploy.hosts.jobs.HostJobs", Jobs)
-    monkeypatch.setattr("deploy.merging.merge.merge", merging)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostJobs", Jobs)
+    monkeypatch.setattr("handfast.deploy.merging.merge.merge", merging)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` leaves it ignored
     try:
         with pytest.raises(KeyboardInterrupt):

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from deploy.hosts.connection import HostConnection
-from deploy.hosts.jobs import HostJobs
-from deploy.hosts.view import DONE
+from handfast.agent.fleet.hosts import HostSection
+from handfast.deploy.hosts.connection import HostConnection
+from handfast.deploy.hosts.jobs import HostJobs
+from handfast.deploy.hosts.view import DONE
 from tests.process.harness import wait_for
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
@@ -29,7 +29,7 @@ def test_a_host_that_does_not_answer_yet_is_reached_by_ctrl_c(
             connecting.set()
             return super().__enter__()
 
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", Connection)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", Connection)
     there = fleet(HOSTS, LEFT, LEFT)
     begun = time.monotonic()
     with HostJobs(there, there.hosts[:1], lambda *_: pytest.fail("it answered")) as jobs:
@@ -57,7 +57,7 @@ def test_hosts_that_do_not_answer_hold_up_no_others(monkeypatch: pytest.MonkeyPa
         def abort(self) -> None:
             dead.set()
 
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", Connection)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", Connection)
     hosts = [HostSection(f"{state}{k}", "a") for state in ("off", "on") for k in range(50)]
     with HostJobs(fleet(HOSTS, LEFT, LEFT), hosts, lambda *_: None) as jobs:
         answered = [row for name, row in jobs.rows.items() if name.startswith("on")]

@@ -14,18 +14,18 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import CheckLine, Checks
-from agent.transport.bus import BusError
-from deploy.cli import main
-from deploy.console.data_files import FLEETS
-from deploy.hosts import preflight
-from deploy.hosts.artifacts.systemd_units import unit_name
-from deploy.hosts.connection import HostError
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import CheckLine, Checks
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.cli import main
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.hosts import preflight
+from handfast.deploy.hosts.artifacts.systemd_units import unit_name
+from handfast.deploy.hosts.connection import HostError
 
 OK = CheckLine("link", "ok", "system 1 on /dev/serial0", "")
 BLOCKS = CheckLine("type", "blocking", "is a quadrotor (MAV_TYPE 2), not a rover", "")
@@ -124,12 +124,12 @@ def world(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> World:
     (tmp_path / "six.toml").write_text(text)
     there = World(parse_fleet(text, source="here"))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deploy.session.session.operator_bus", lambda *_, **__: there)
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
+    monkeypatch.setattr("handfast.deploy.session.session.operator_bus", lambda *_, **__: there)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", there.host)
     monkeypatch.setattr(preflight, "QUIET_S", 0.2)
     monkeypatch.setattr(preflight, "TIMEOUT_S", 0.6)
     monkeypatch.setattr(preflight, "BOOT_TIMEOUT_S", 0.6)
-    monkeypatch.setattr("deploy.drive.vehicle_checks.SETTLE_NS", 1)
+    monkeypatch.setattr("handfast.deploy.drive.vehicle_checks.SETTLE_NS", 1)
     return there
 
 
@@ -215,7 +215,7 @@ def test_without_a_bus_the_hosts_say_why(
     def no_bus(*_: object, **__: object) -> None:
         raise BusError("no router answers")
 
-    monkeypatch.setattr("deploy.session.session.operator_bus", no_bus)
+    monkeypatch.setattr("handfast.deploy.session.session.operator_bus", no_bus)
     assert main(["preflight", "six.toml"]) == 1
     told = capsys.readouterr()
     assert told.err == "handfast: no router answers\n"

@@ -8,15 +8,15 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.runtime.realtime_granted import Granted, to_json
-from deploy.cli import main
-from deploy.drive.vehicle_checks import WARNING
-from deploy.hosts.artifacts.systemd_units import unit_name
-from deploy.hosts.connection import HostError
-from deploy.hosts.realtime import granted_on, lines_on, warnings
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.runtime.realtime_granted import Granted, to_json
+from handfast.deploy.cli import main
+from handfast.deploy.drive.vehicle_checks import WARNING
+from handfast.deploy.hosts.artifacts.systemd_units import unit_name
+from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.hosts.realtime import granted_on, lines_on, warnings
 from tests.unit.deploy.hosts import test_preflight
 from tests.unit.deploy.hosts.test_preflight import There, World, tables
 
@@ -55,7 +55,7 @@ def granted(host: Host) -> dict[tuple[int, str], Granted | None]:
 def test_processes_are_looked_at_by_the_numbers_that_systemd_has() -> None:
     host = Host({"agent": unit(7), "plant": unit(8)}, f"{to_json(ALL)}\n{to_json(None)}\n")
     assert granted(host) == {(1, "agent"): ALL, (1, "plant"): None}
-    assert host.ran == [("agent.runtime.realtime_granted", ["7", "8"], "1")]
+    assert host.ran == [("handfast.agent.runtime.realtime_granted", ["7", "8"], "1")]
 
 
 def test_of_those_that_do_not_run_nothing_is_asked() -> None:

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from deploy.hosts import remote_program
-from deploy.hosts.artifacts import sandboxing
-from deploy.hosts.connection import HostConnection, HostError
+from handfast.agent.fleet.hosts import HostSection
+from handfast.deploy.hosts import remote_program
+from handfast.deploy.hosts.artifacts import sandboxing
+from handfast.deploy.hosts.connection import HostConnection, HostError
 from tests.process.harness import wait_for
 
 FAKE_SSH = '#!/bin/sh\nfor last; do :; done\nexec /bin/sh -c "$last"\n'

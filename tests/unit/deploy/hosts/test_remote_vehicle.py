@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from deploy.hosts import remote_vehicle
-from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.remote_vehicle import manager_groups, others, port
+from handfast.agent.fleet.hosts import HostSection
+from handfast.deploy.hosts import remote_vehicle
+from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.remote_vehicle import manager_groups, others, port
 from tests.unit.deploy.hosts.test_remote_program import home as home
 
 

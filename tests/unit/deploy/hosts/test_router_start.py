@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from agent.transport.bus import BusError
-from deploy.commands.hosts.up import _say
-from deploy.console.interrupt import Interrupt
-from deploy.hosts.artifacts.bundle import Bundle
-from deploy.hosts.connection import HostError
-from deploy.hosts.up import BringUp
-from deploy.hosts.view import DONE, FAILED
-from deploy.inventory.hosts import hosts_of
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.commands.hosts.up import _say
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.hosts.artifacts.bundle import Bundle
+from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.hosts.up import BringUp
+from handfast.deploy.hosts.view import DONE, FAILED
+from handfast.deploy.inventory.hosts import hosts_of
 from tests.unit.deploy.hosts.test_up import QUICK, Keys, There, View, World, bring, ends
 from tests.unit.deploy.hosts.two_hosts import WHEELS, fleet
 
@@ -98,10 +98,12 @@ class WithRouter(There):
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> Routed:
     there = Routed()
-    monkeypatch.setattr("deploy.session.session.operator_bus", there.bus)
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
-    monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
-    monkeypatch.setattr("deploy.hosts.up.program_archive", lambda modules: b"program")
+    monkeypatch.setattr("handfast.deploy.session.session.operator_bus", there.bus)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", there.host)
+    monkeypatch.setattr(
+        "handfast.deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program)
+    )
+    monkeypatch.setattr("handfast.deploy.hosts.up.program_archive", lambda modules: b"program")
     return there
 
 

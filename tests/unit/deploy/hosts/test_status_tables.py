@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from agent.messages.types import Status
-from agent.security.certificates import DAY_S
-from agent.security.identity import of_robot, of_router
-from deploy.hosts.connection import Clock, HostError
-from deploy.hosts.status import (
+from handfast.agent.messages.types import Status
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.identity import of_robot, of_router
+from handfast.deploy.hosts.connection import Clock, HostError
+from handfast.deploy.hosts.status import (
     HostStatus,
     expiries_on_hosts,
     host_rows,
@@ -23,8 +23,8 @@ from deploy.hosts.status import (
     process_row,
     router_rows,
 )
-from deploy.hosts.view import FAILED, INTERRUPTED, Lines, Row, Terminal
-from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.hosts.view import FAILED, INTERRUPTED, Lines, Row, Terminal
+from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
 from tests.trusted import NOW_S, authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, ROUTERS, fleet
 

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.codec import decode, encode
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import Stop
-from agent.messages.versions import as_believed
-from agent.runtime.order_store import STOP_FILE, packed, unpacked
-from deploy.console.arguments import InputError
-from deploy.hosts import stop_by_ssh
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.stop_by_ssh import SshWay
-from deploy.orders.stop_outcome import Stopping
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import Stop
+from handfast.agent.messages.versions import as_believed
+from handfast.agent.runtime.order_store import STOP_FILE, packed, unpacked
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.hosts import stop_by_ssh
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.stop_by_ssh import SshWay
+from handfast.deploy.orders.stop_outcome import Stopping
 from tests.process.harness import wait_for
 from tests.unit.deploy.hosts.test_remote_program import home  # noqa: F401
 from tests.unit.deploy.inventory.test_own_orders import HOSTS

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from deploy.console.data_files import FLEETS
-from deploy.hosts import this_machine
-from deploy.hosts.status import process_row
-from deploy.hosts.this_machine import logs_of, run_words
-from deploy.inventory.known_fleets import KnownFleet
-from deploy.inventory.registry import Running
-from deploy.processes.table import PAUSED, RUNS, ProcessState
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.hosts import this_machine
+from handfast.deploy.hosts.status import process_row
+from handfast.deploy.hosts.this_machine import logs_of, run_words
+from handfast.deploy.inventory.known_fleets import KnownFleet
+from handfast.deploy.inventory.registry import Running
+from handfast.deploy.processes.table import PAUSED, RUNS, ProcessState
 
 FILE = FLEETS / "pair.toml"
 FLEET = load_fleet(FILE)

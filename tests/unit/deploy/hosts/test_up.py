@@ -13,23 +13,23 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Resume, Status, Stop
-from deploy.commands.hosts.up import _say
-from deploy.console.interrupt import Interrupt
-from deploy.drive.preconditions import CAME_UP, GOES_DOWN
-from deploy.hosts.arrivals import Arrivals
-from deploy.hosts.artifacts.bundle import Bundle
-from deploy.hosts.artifacts.systemd_units import roles, unit_name
-from deploy.hosts.certificates import AnotherAuthorityError
-from deploy.hosts.connection import Clock, HostError
-from deploy.hosts.up import BringUp, Timing
-from deploy.hosts.view import DONE, FAILED, Row
-from deploy.inventory.hosts import hosts_of
-from deploy.inventory.own_orders import OwnOrders
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Resume, Status, Stop
+from handfast.deploy.commands.hosts.up import _say
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.drive.preconditions import CAME_UP, GOES_DOWN
+from handfast.deploy.hosts.arrivals import Arrivals
+from handfast.deploy.hosts.artifacts.bundle import Bundle
+from handfast.deploy.hosts.artifacts.systemd_units import roles, unit_name
+from handfast.deploy.hosts.certificates import AnotherAuthorityError
+from handfast.deploy.hosts.connection import Clock, HostError
+from handfast.deploy.hosts.up import BringUp, Timing
+from handfast.deploy.hosts.view import DONE, FAILED, Row
+from handfast.deploy.inventory.hosts import hosts_of
+from handfast.deploy.inventory.own_orders import OwnOrders
 from tests.unit.deploy.hosts.two_hosts import ROOT, WHEELS, fleet
 
 PATIENCE_S = 20.0
@@ -223,10 +223,12 @@ class View:
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     there = World(fleet({"rover1": {"address": "10.0.0.1"}, "rover2": {}}, network={"security": "off"}))
-    monkeypatch.setattr("deploy.session.session.operator_bus", lambda *_, **__: there)
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
-    monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
-    monkeypatch.setattr("deploy.hosts.up.program_archive", lambda modules: b"program")
+    monkeypatch.setattr("handfast.deploy.session.session.operator_bus", lambda *_, **__: there)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", there.host)
+    monkeypatch.setattr(
+        "handfast.deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program)
+    )
+    monkeypatch.setattr("handfast.deploy.hosts.up.program_archive", lambda modules: b"program")
     return there
 
 

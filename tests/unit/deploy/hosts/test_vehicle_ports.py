@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from deploy.hosts import remote_vehicle
-from deploy.hosts.connection import HostError
-from deploy.hosts.vehicle_ports import port_warnings
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.hosts import remote_vehicle
+from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.hosts.vehicle_ports import port_warnings
 from tests.unit.deploy.hosts.test_preflight import tables
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import tomli_w
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from deploy.console.data_files import FLEETS
-from deploy.inventory.hosts import located
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.inventory.hosts import located
 
 ROOT = "/home/pi/.local/share/handfast"
 WHEELS = {"pip-26.3-py3-none-any.whl": "a", "numpy-2-cp311.whl": "b"}

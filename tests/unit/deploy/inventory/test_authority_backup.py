@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.credentials import wanting
-from agent.security.identity import of_operator, of_robot
-from deploy.inventory import authority_backup
-from deploy.inventory.authority_backup import packed, unpack
-from deploy.inventory.certificate_authority import AuthorityError
+from handfast.agent.security.credentials import wanting
+from handfast.agent.security.identity import of_operator, of_robot
+from handfast.deploy.inventory import authority_backup
+from handfast.deploy.inventory.authority_backup import packed, unpack
+from handfast.deploy.inventory.certificate_authority import AuthorityError
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 PASSPHRASE = "correct horse battery staple"

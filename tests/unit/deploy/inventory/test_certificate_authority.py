@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.certificates import pem_of_key
-from agent.security.credentials import CredentialsError, load, make_request, store
-from agent.security.identity import of_operator, of_robot, of_router
-from deploy.inventory import certificate_authority as module
-from deploy.inventory.certificate_authority import Authority, AuthorityError
-from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
-from deploy.inventory.operator_credentials import keys_folder
+from handfast.agent.security.certificates import pem_of_key
+from handfast.agent.security.credentials import CredentialsError, load, make_request, store
+from handfast.agent.security.identity import of_operator, of_robot, of_router
+from handfast.deploy.inventory import certificate_authority as module
+from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError
+from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from handfast.deploy.inventory.operator_credentials import keys_folder
 from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 DAY_S = 86_400
@@ -192,7 +192,7 @@ def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
     ],
 )
 def test_files_that_are_damaged(tmp_path: Path, file: str, damage: object, what: str) -> None:
-    from agent.security.certificates import new_key
+    from handfast.agent.security.certificates import new_key
 
     authority(tmp_path).close()
     path = tmp_path / file

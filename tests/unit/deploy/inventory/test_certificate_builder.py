@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from agent.security.certificates import DAY_S, issued_from_pem, new_key
-from agent.security.identity import of_robot
-from deploy.inventory.certificate_builder import AUTHORITY_DAYS, BACK_S, CERTIFICATE_DAYS, self_signed, signed
+from handfast.agent.security.certificates import DAY_S, issued_from_pem, new_key
+from handfast.agent.security.identity import of_robot
+from handfast.deploy.inventory.certificate_builder import (
+    AUTHORITY_DAYS,
+    BACK_S,
+    CERTIFICATE_DAYS,
+    self_signed,
+    signed,
+)
 from tests.trusted import FLEET, NOW_S
 
 

@@ -10,9 +10,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import NameOID
 
-from agent.security.certificates import new_key, new_request
-from agent.security.identity import of_operator
-from deploy.inventory.certificate_requests import REQUEST_BYTES_MAX, RequestError, examined
+from handfast.agent.security.certificates import new_key, new_request
+from handfast.agent.security.identity import of_operator
+from handfast.deploy.inventory.certificate_requests import REQUEST_BYTES_MAX, RequestError, examined
 from tests.trusted import FLEET
 
 ANNA = of_operator(FLEET, "anna")

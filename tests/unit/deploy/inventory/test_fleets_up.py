@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from deploy.inventory import fleets_up
-from deploy.inventory.fleets_up import FleetUp, note_down, note_up
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.inventory import fleets_up
+from handfast.deploy.inventory.fleets_up import FleetUp, note_down, note_up
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
 SOURCE = Path("/fleets/two.toml")

@@ -1,4 +1,4 @@
-"""deploy.inventory.folders: names of new folders, and folders that are in the way."""
+"""handfast.deploy.inventory.folders: names of new folders, and folders that are in the way."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.console.arguments import InputError
-from deploy.inventory.folders import cache_folder, out_folder, refuse_full, refuse_unwritable
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.folders import cache_folder, out_folder, refuse_full, refuse_unwritable
 
 
 def test_a_folder_is_the_one_that_is_named_or_has_the_name_and_the_time() -> None:

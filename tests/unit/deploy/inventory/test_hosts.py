@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet, FleetError
-from deploy.console.arguments import InputError
-from deploy.inventory import ssh
-from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_on, robots_text
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory import ssh
+from handfast.deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_on, robots_text
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, RIGHT, fleet
 
 NAMED = '[host.left]\n[host.right]\naddress = "10.0.0.2"\n[host.spare]\n'

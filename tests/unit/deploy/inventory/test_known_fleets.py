@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet
-from deploy.console.data_files import FLEETS
-from deploy.inventory import fleets_up, registry, ssh
-from deploy.inventory.known_fleets import NotRunningError, SeveralError, find, known, meant
-from deploy.inventory.registry import Registration
-from deploy.inventory.running import running_fleet
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.inventory import fleets_up, registry, ssh
+from handfast.deploy.inventory.known_fleets import NotRunningError, SeveralError, find, known, meant
+from handfast.deploy.inventory.registry import Registration
+from handfast.deploy.inventory.running import running_fleet
 from tests.unit.agent.fleet.test_hosts import fleet as two
 
 _ports = count(9000, 10)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.credentials import authority_of, load
-from agent.security.identity import of_operator, of_router
-from deploy.inventory.operator_credentials import (
+from handfast.agent.security.credentials import authority_of, load
+from handfast.agent.security.identity import of_operator, of_router
+from handfast.deploy.inventory.operator_credentials import (
     KEYS,
     OPERATOR,
     drop_earlier,

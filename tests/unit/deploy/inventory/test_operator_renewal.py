@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.certificates import DAY_S
-from agent.security.credentials import CredentialsError
-from agent.security.identity import of_operator
-from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
-from deploy.inventory.operator_credentials import AUTHORITY_FILE
-from deploy.inventory.operator_renewal import usable
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.credentials import CredentialsError
+from handfast.agent.security.identity import of_operator
+from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE
+from handfast.deploy.inventory.operator_renewal import usable
 from tests.process.guarded import guarded_fleet
 from tests.trusted import FLEET, authority, credentials
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.credentials import CredentialsError, load
-from agent.security.identity import Identity, of_operator, of_robot
-from deploy.inventory.certificate_authority import Authority
-from deploy.inventory.certificate_requests import RequestError
-from deploy.inventory.operator_credentials import earlier_folders
-from deploy.inventory.operator_requests import SIGNED_BYTES_MAX, install, request, requested_by
+from handfast.agent.security.credentials import CredentialsError, load
+from handfast.agent.security.identity import Identity, of_operator, of_robot
+from handfast.deploy.inventory.certificate_authority import Authority
+from handfast.deploy.inventory.certificate_requests import RequestError
+from handfast.deploy.inventory.operator_credentials import earlier_folders
+from handfast.deploy.inventory.operator_requests import SIGNED_BYTES_MAX, install, request, requested_by
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 ANNA = of_operator(FLEET, "anna")

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.types import Mission, Resume, Stop
-from deploy.console.data_files import FLEETS
-from deploy.inventory import own_orders
-from deploy.inventory.own_orders import OwnOrders
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.inventory import own_orders
+from handfast.deploy.inventory.own_orders import OwnOrders
 
 HOSTS = """
 robot = [{ id = 1, x_m = 0, y_m = 0, host = "h" }, { id = 2, x_m = 1.5, y_m = 0.2, host = "h" }]

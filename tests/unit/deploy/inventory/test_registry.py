@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.runtime_folder import NotPrivateError
-from deploy.inventory import registry
-from deploy.inventory.registry import Registration, entries, running
+from handfast.agent.runtime.runtime_folder import NotPrivateError
+from handfast.deploy.inventory import registry
+from handfast.deploy.inventory.registry import Registration, entries, running
 
 
 @pytest.fixture(autouse=True)

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from deploy.inventory import ssh
+from handfast.agent.fleet.hosts import HostSection
+from handfast.deploy.inventory import ssh
 from tests.process.harness import ROOT
 
 
@@ -90,7 +90,7 @@ def test_as_many_files_may_be_open_as_the_user_may_have() -> None:
     """In a process of its own: it holds for all of it."""
     script = (
         "import resource\n"
-        "from deploy.inventory import ssh\n"
+        "from handfast.deploy.inventory import ssh\n"
         "_, most = resource.getrlimit(resource.RLIMIT_NOFILE)\n"
         "resource.setrlimit(resource.RLIMIT_NOFILE, (64, most))\n"
         "ssh.allow_many()\n"

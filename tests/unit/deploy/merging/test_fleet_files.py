@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.loading import digest, to_dict
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.recorder.segments import About
-from deploy.merging.fleet_files import TEXTS_MAX, FleetFiles, Ruling, taken
-from deploy.merging.robot_recording import MergeError, SegmentFile
+from handfast.agent.fleet.loading import digest, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.recorder.segments import About
+from handfast.deploy.merging.fleet_files import TEXTS_MAX, FleetFiles, Ruling, taken
+from handfast.deploy.merging.robot_recording import MergeError, SegmentFile
 from tests.unit.deploy.synthetic_run import make_fleet, triangle
 
 FLEET = resolved(make_fleet(*triangle(2)))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Faults
-from agent.recorder.segments import Received
-from deploy.merging import held_faults
-from deploy.merging.held_faults import HeldFaults
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Faults
+from handfast.agent.recorder.segments import Received
+from handfast.deploy.merging import held_faults
+from handfast.deploy.merging.held_faults import HeldFaults
 
 RULES = '[[faults.rule]]\nloss = "50 %"\n'
 SET = Faults(1, 1000, "ann", 900, 0, RULES)

@@ -10,20 +10,20 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, to_dict
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Mission, PlantState, Resume, Status, Stop
-from agent.recorder.recorder import RobotRecorder, order_keys
-from agent.recorder.segment_folder import SegmentFolder, segment_paths
-from agent.recorder.segments import About, Received
-from deploy.merging.merge import MARGIN_NS, Choice, Merged, merge
-from deploy.merging.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
-from deploy.recording.mcap_reader import read_run
-from deploy.report.run_folder import FolderError, RunFolder, rebuild
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Mission, PlantState, Resume, Status, Stop
+from handfast.agent.recorder.recorder import RobotRecorder, order_keys
+from handfast.agent.recorder.segment_folder import SegmentFolder, segment_paths
+from handfast.agent.recorder.segments import About, Received
+from handfast.deploy.merging.merge import MARGIN_NS, Choice, Merged, merge
+from handfast.deploy.merging.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.report.run_folder import FolderError, RunFolder, rebuild
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = resolved(make_fleet(*triangle(2), duration_s=2.0))

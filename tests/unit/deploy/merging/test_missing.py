@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.common.time import NS_PER_S
-from agent.recorder.segments import About
-from deploy.merging.missing import VERSION_MAX, Window, missing, times
-from deploy.merging.robot_recording import Damage, SegmentFile
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.recorder.segments import About
+from handfast.deploy.merging.missing import VERSION_MAX, Window, missing, times
+from handfast.deploy.merging.robot_recording import Damage, SegmentFile
 from tests.unit.deploy.synthetic_run import make_fleet, triangle
 
 FLEET = make_fleet(*triangle(2))

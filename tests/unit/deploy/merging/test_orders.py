@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.messages.codec import encode
-from agent.messages.types import Heartbeat, Mission, Resume, Stop
-from agent.security.identity import of_operator
-from agent.security.sealed_order import Opener, Sealer
-from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
-from deploy.merging import orders
-from deploy.merging.orders import Orders, orders_given
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Heartbeat, Mission, Resume, Stop
+from handfast.agent.security.identity import of_operator
+from handfast.agent.security.sealed_order import Opener, Sealer
+from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.merging import orders
+from handfast.deploy.merging.orders import Orders, orders_given
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 NOW_NS = int(NOW_S * NS_PER_S)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import Plan, plan_of
-from agent.messages.types import Mission
-from deploy.orders.mission_editing import first_mission, ordered
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import Plan, plan_of
+from handfast.agent.messages.types import Mission
+from handfast.deploy.orders.mission_editing import first_mission, ordered
 
 S = 1_000_000_000
 EPOCH = 1_700_000_000 * S

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection, ShapeSection
-from agent.fleet.sections import TrajectorySection
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import Plan
-from agent.formation.reference import Reference
-from agent.messages.codec import decode, encode
-from agent.messages.types import Left
-from deploy.orders.blend_time import blend_ns_for
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection, ShapeSection
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.formation.reference import Reference
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Left
+from handfast.deploy.orders.blend_time import blend_ns_for
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()

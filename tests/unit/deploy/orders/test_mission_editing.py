@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.loading import digest
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection, ShapeSection
-from agent.fleet.sections import TrajectorySection
-from agent.formation.mission_plan import Plan, mission_parts
-from agent.messages.codec import decode, encode, newer
-from agent.messages.types import Removed
-from deploy.orders.blend_time import BLEND_MAX_S
-from deploy.orders.mission_editing import LEAD_NS, OrderError, first_mission, must_be_known, ordered
+from handfast.agent.fleet.loading import digest
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection, ShapeSection
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.mission_plan import Plan, mission_parts
+from handfast.agent.messages.codec import decode, encode, newer
+from handfast.agent.messages.types import Removed
+from handfast.deploy.orders.blend_time import BLEND_MAX_S
+from handfast.deploy.orders.mission_editing import LEAD_NS, OrderError, first_mission, must_be_known, ordered
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()
@@ -459,8 +459,8 @@ def test_what_the_blend_makes_too_far_or_too_long_to_be_sent_is_refused(monkeypa
     assert "start_m" in refused(order("reshape", trajectory=line, over_s=600.0))
     here, other = (TrajectorySection("line", velocity_mps=(speed, 0.0)) for speed in (0.2, 0.3))
     size = len(encode(plan_after(order("reshape", trajectory=here)).mission))
-    monkeypatch.setattr("agent.messages.codec.MISSION_BYTES_MAX", size - 1)
-    monkeypatch.setattr("agent.messages.codec.BYTES_MAX", size - 1)
+    monkeypatch.setattr("handfast.agent.messages.codec.MISSION_BYTES_MAX", size - 1)
+    monkeypatch.setattr("handfast.agent.messages.codec.BYTES_MAX", size - 1)
     assert refused(order("reshape", trajectory=other)).startswith("the new mission cannot be sent: oversized")
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent.messages.codec import newer
-from agent.messages.types import Mission, Status
-from deploy.orders.mission_outcome import Ordering, words
+from handfast.agent.messages.codec import newer
+from handfast.agent.messages.types import Mission, Status
+from handfast.deploy.orders.mission_outcome import Ordering, words
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 
 import pytest
 
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
-from agent.messages.versions import AHEAD_US_MAX
-from deploy.orders.mission_editing import OrderError
-from deploy.orders.operator import NO_MISSION, Known, Operator, refused
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
+from handfast.agent.messages.versions import AHEAD_US_MAX
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.orders.operator import NO_MISSION, Known, Operator, refused
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, order, square
 
 FLEET = square()

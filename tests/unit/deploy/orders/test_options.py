@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from deploy.console.arguments import InputError
-from deploy.orders.options import order_of_options, shape_tables
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.orders.options import order_of_options, shape_tables
 from tests.unit.deploy.orders.order_fleets import after, first_plan, order, square
 
 FLEET = square()

@@ -6,16 +6,16 @@ from argparse import Namespace
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet
-from agent.messages import key_expressions
-from agent.messages.types import PlantState, Resume, Status
-from agent.supervision.situation import NOT_SAID
-from agent.supervision.state_machine import MISSION_OVER
-from agent.supervision.stop_latch import AWAITED
-from deploy.console.arguments import InputError, robots_named
-from deploy.console.data_files import FLEETS
-from deploy.orders.resume_outcome import Resuming
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import PlantState, Resume, Status
+from handfast.agent.supervision.situation import NOT_SAID
+from handfast.agent.supervision.state_machine import MISSION_OVER
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.deploy.console.arguments import InputError, robots_named
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.orders.resume_outcome import Resuming
 
 ROVERS = load_fleet(FLEETS / "rovers.toml")
 T0 = 1_800_000_000 * NS_PER_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.orders.robot_clocks import OFF_NS, RobotClocks
+from handfast.deploy.orders.robot_clocks import OFF_NS, RobotClocks
 
 S = 10**9
 NOW = 10**18

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import PlantState, Status
-from deploy.orders.stop_outcome import STOPS_OUTDONE_MAX, Stopping
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import PlantState, Status
+from handfast.deploy.orders.stop_outcome import STOPS_OUTDONE_MAX, Stopping
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()

@@ -6,7 +6,7 @@ from math import dist, sqrt
 
 import pytest
 
-from deploy.orders.trilateration import place_apart, trilaterate
+from handfast.deploy.orders.trilateration import place_apart, trilaterate
 
 
 def test_two_distances_leave_two_places():

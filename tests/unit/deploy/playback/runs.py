@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent.fleet.model import Fleet
-from deploy.recording.collector import RunData
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import Path, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)

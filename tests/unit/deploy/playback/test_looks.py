@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, SILENT, TROUBLED, UNREADY
-from deploy.playback.page import asset
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
+from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, SILENT, TROUBLED, UNREADY
+from handfast.deploy.playback.page import asset
 
 
 def test_every_state_has_a_look() -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.types import Event, Resume, Status, StatusText, Stop
-from deploy.playback import marks as module
-from deploy.playback.marks import FAULT, ORDER, STATE, VEHICLE, VIOLATION, Mark, marks
-from deploy.recording.collector import RunData
-from deploy.verdict.run_result import RunResult
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Event, Resume, Status, StatusText, Stop
+from handfast.deploy.playback import marks as module
+from handfast.deploy.playback.marks import FAULT, ORDER, STATE, VEHICLE, VIOLATION, Mark, marks
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
 from tests.unit.deploy.simulated_run import driven, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages, standing

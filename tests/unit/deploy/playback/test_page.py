@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.console.data_files import PAGE
-from deploy.playback.page import MODULES, STYLE, asset, embedded, served, served_policy
+from handfast.deploy.console.data_files import PAGE
+from handfast.deploy.playback.page import MODULES, STYLE, asset, embedded, served, served_policy
 
 PAGE_BYTES_MAX = 150_000
 

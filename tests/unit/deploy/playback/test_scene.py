@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 
-from deploy.playback.page import asset
-from deploy.playback.scene import FORMAT, ground, scene
-from deploy.playback.track import COLUMNS, Track
-from deploy.recording.collector import RunData
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.playback.page import asset
+from handfast.deploy.playback.scene import FORMAT, ground, scene
+from handfast.deploy.playback.track import COLUMNS, Track
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
 from tests.unit.deploy.simulated_run import driven, trio
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.playback import track as module
-from deploy.playback.track import COLUMNS, Track
+from handfast.deploy.playback import track as module
+from handfast.deploy.playback.track import COLUMNS, Track
 from tests.unit.deploy.playback.runs import FLEET, result_of
 
 COUNT = len(FLEET.robots)

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from deploy.processes import child
-from deploy.processes.child import END_LOOK_S, END_TIMES, end_all
+from handfast.deploy.processes import child
+from handfast.deploy.processes.child import END_LOOK_S, END_TIMES, end_all
 
 
 class Clock:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from deploy.processes import command_line
+from handfast.deploy.processes import command_line
 
 SHOWS = """
 import sys
-from deploy.processes import command_line
+from handfast.deploy.processes import command_line
 command_line.show({words})
 print(end=open("/proc/self/cmdline").read())
 """
@@ -24,7 +24,7 @@ def shown(words: str, more: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_process_is_seen_under_other_words_and_nothing_is_left_of_its_own() -> None:
-    words = ["python", "-m", "agent", "--fleet", "/tmp/Münster/fleet.toml"]
+    words = ["python", "-m", "handfast.agent", "--fleet", "/tmp/Münster/fleet.toml"]
     done = shown(repr(words), "x" * 500)
     assert done.stdout.rstrip("\0").split("\0") == words, done.stderr
     assert len(done.stdout.encode()) > 500, "the area is as large as it was"

@@ -17,11 +17,11 @@ from typing import Final
 
 import pytest
 
-from deploy.processes import child, fork_server, forking
-from deploy.processes.child import Child, environment
-from deploy.processes.command_line import ROOM
-from deploy.processes.forking import UNSEEN, ForkedProcess, ForkServer
-from deploy.processes.scheduling import STARTING, YIELDING
+from handfast.deploy.processes import child, fork_server, forking
+from handfast.deploy.processes.child import Child, environment
+from handfast.deploy.processes.command_line import ROOM
+from handfast.deploy.processes.forking import UNSEEN, ForkedProcess, ForkServer
+from handfast.deploy.processes.scheduling import STARTING, YIELDING
 
 PATIENCE_S: Final = 30.0
 PROGRAM: Final = """
@@ -40,7 +40,7 @@ def main(argv):
         threading.Thread(target=lambda: (time.sleep(0.05), print("of a thread", flush=True))).start()
         return 3
     if what == "start":
-        from agent.runtime import preloaded
+        from handfast.agent.runtime import preloaded
         own = f"{more[0]}/starting-{os.getpid()}"
         open(own, "w").close()
         for _ in range(20):  # each may cost what a busy machine has to do
@@ -67,7 +67,7 @@ def main(argv):
 """``python -m trivial WHAT``."""
 SERVER: Final = """
 import sys
-from deploy.processes import fork_server
+from handfast.deploy.processes import fork_server
 fork_server.MODULES = fork_server.PRELOADED = ("trivial",)
 fork_server.main()
 """
@@ -305,8 +305,8 @@ def test_no_room_for_a_process_is_an_error(tmp_path: Path) -> None:
 
 STARTS: Final = """
 import os, signal, sys
-from deploy.processes import forking
-from deploy.processes.child import environment
+from handfast.deploy.processes import forking
+from handfast.deploy.processes.child import environment
 forking.SERVER = "serves"
 server = forking.ForkServer(environment())
 pids = [server.pid]

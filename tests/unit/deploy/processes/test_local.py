@@ -9,19 +9,19 @@ from typing import Any
 
 import pytest
 
-from agent.control.hand import Pose
-from agent.control.law_plugin import Law, Moment
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.messages.key_expressions import ROLES
-from deploy.analysis.lattice import lattice as grid
-from deploy.console.data_files import FLEETS
-from deploy.faults.process_actions import Action
-from deploy.processes import local
-from deploy.processes.local import Processes
-from deploy.processes.placement import Vehicle
-from deploy.processes.scheduling import YIELDING
-from plant.backend import Plant
+from handfast.agent.control.hand import Pose
+from handfast.agent.control.law_plugin import Law, Moment
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.deploy.analysis.lattice import lattice as grid
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.faults.process_actions import Action
+from handfast.deploy.processes import local
+from handfast.deploy.processes.local import Processes
+from handfast.deploy.processes.placement import Vehicle
+from handfast.deploy.processes.scheduling import YIELDING
+from handfast.plant.backend import Plant
 
 POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)
 
@@ -93,11 +93,11 @@ def running(**options: Any) -> Processes:
 def test_each_robot_has_an_agent_and_a_plant_and_a_simulated_rover_where_it_has_one() -> None:
     made = running()
     assert [(child.robot, child.role, child.module) for child in started] == [
-        (2, "vehicle", "bridges.mavlink.simulator"),
+        (2, "vehicle", "handfast.bridges.mavlink.simulator"),
         (1, "agent", "agent"),
         (1, "plant", "plant"),
         (2, "agent", "agent"),
-        (2, "plant", "bridges.mavlink"),
+        (2, "plant", "handfast.bridges.mavlink"),
     ]
     assert started[0].arguments == ("--system=2",)
     assert started[4].arguments == ["--fleet", "fleet.toml", "--robot", "2"]
@@ -122,7 +122,10 @@ def test_only_a_simulated_body_is_told_where_to_stand_again() -> None:
     made = running()
     assert restart(made, 1).arguments[-1] == "--pose=1.5,-2.0,0.5"
     again = restart(made, 2)
-    assert (again.module, again.arguments) == ("bridges.mavlink", ["--fleet", "fleet.toml", "--robot", "2"])
+    assert (again.module, again.arguments) == (
+        "handfast.bridges.mavlink",
+        ["--fleet", "fleet.toml", "--robot", "2"],
+    )
     assert [child.role for child in started].count("vehicle") == 1, "its rover goes on"
     assert made.deaths() == []
 
@@ -155,7 +158,7 @@ def test_routers_listen_before_others_start_and_end_after_them(monkeypatch: pyte
         (2, "router"),
         (1, "agent"),
     ]
-    assert started[1].module == "agent.runtime.router"
+    assert started[1].module == "handfast.agent.runtime.router"
     assert started[1].arguments == ["--fleet", "fleet.toml", "--number", "2"]
     assert not [process for process in made.names if process[1] == "router"], "no process of a robot's"
     started[1].how = "exit status 1"

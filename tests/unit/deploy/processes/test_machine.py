@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.process_section import ProcessSection
-from agent.formation.geometry import resolved
-from deploy.analysis.lattice import lattice
-from deploy.check.capacity import FULL, Machine, cost_of, used
-from deploy.console.data_files import FLEETS
-from deploy.processes import machine
-from deploy.processes.machine import LOOKS, ROUND_S, WINDOWS, measured, measured_for, overload_here
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.formation.geometry import resolved
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.check.capacity import FULL, Machine, cost_of, used
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.processes import machine
+from handfast.deploy.processes.machine import LOOKS, ROUND_S, WINDOWS, measured, measured_for, overload_here
 
 
 def test_it_is_measured_on_the_processors_that_may_be_used_and_leaves_them_as_they_were() -> None:
@@ -110,7 +110,7 @@ def test_the_program_beside_hears_no_ctrl_c_and_ends_with_whoever_started_it() -
     cpu = min(os.sched_getaffinity(0))
     script = (
         "import os, signal, subprocess\n"
-        "from deploy.processes import machine\n"
+        "from handfast.deploy.processes import machine\n"
         "made = []\n"
         "popen = subprocess.Popen\n"
         "subprocess.Popen = lambda *a, **k: made.append(popen(*a, **k)) or made[-1]\n"

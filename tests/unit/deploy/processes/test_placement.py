@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.loading import digest, load_fleet, parse_fleet, to_dict
-from agent.fleet.mavlink_section import MavlinkSection
-from agent.fleet.model import Fleet
-from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
-from bridges.mavlink.simulator.settings import parse_home
-from deploy.console.data_files import FLEETS
-from deploy.processes import placement, ports
-from deploy.processes.placement import held_orders, orders_folder, place, vehicle
+from handfast.agent.fleet.loading import digest, load_fleet, parse_fleet, to_dict
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.model import Fleet
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
+from handfast.bridges.mavlink.simulator.settings import parse_home
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.processes import placement, ports
+from handfast.deploy.processes.placement import held_orders, orders_folder, place, vehicle
 
 
 @pytest.fixture

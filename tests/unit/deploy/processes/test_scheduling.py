@@ -10,8 +10,8 @@ from typing import Final
 
 import pytest
 
-from deploy.processes import scheduling
-from deploy.processes.scheduling import (
+from handfast.deploy.processes import scheduling
+from handfast.deploy.processes.scheduling import (
     MANY,
     MANY_YIELDING,
     STARTING,
@@ -41,16 +41,14 @@ def test_what_is_started_meanwhile_interrupts_nobody() -> None:
 
 
 def test_who_yields_is_nicer_once() -> None:
-    code = (
-        f"from deploy.processes.scheduling import yield_at_start; yield_at_start(); yield_at_start(); {TELL}"
-    )
+    code = f"from handfast.deploy.processes.scheduling import yield_at_start; yield_at_start(); yield_at_start(); {TELL}"
     told = subprocess.check_output([sys.executable, "-c", code]).split()
     assert tuple(map(int, told)) == (os.SCHED_BATCH, max(os.nice(0), STARTING))
 
 
 THREADS: Final = """
 import os, threading
-from deploy.processes.scheduling import YIELDING, yield_at_start, yield_once_started
+from handfast.deploy.processes.scheduling import YIELDING, yield_at_start, yield_once_started
 yield_at_start()
 done = threading.Event()
 thread = threading.Thread(target=done.wait)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from deploy.console.data_files import FLEETS
-from deploy.processes.table import PAUSED, RUNS, fleet_processes, process_state, state_of
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.processes.table import PAUSED, RUNS, fleet_processes, process_state, state_of
 
 FLEET = load_fleet(FLEETS / "pair.toml")
 DEADLINE_S = 20.0
@@ -44,15 +44,15 @@ class Pretender:
 def robots(tmp_path: Path) -> Iterator[dict[str, Pretender]]:
     file = str(tmp_path / "fleet.toml")
     started = {
-        "1 agent": Pretender(tmp_path, "-m", "agent", "--fleet", file, "--robot", "1"),
+        "1 agent": Pretender(tmp_path, "-m", "handfast.agent", "--fleet", file, "--robot", "1"),
         "2 plant, by another working directory": Pretender(
-            tmp_path, "-m", "plant", "--fleet", "fleet.toml", "--robot", "2", "--exit-with-parent"
+            tmp_path, "-m", "handfast.plant", "--fleet", "fleet.toml", "--robot", "2", "--exit-with-parent"
         ),
-        "another fleet's": Pretender(tmp_path, "-m", "agent", "--fleet", f"{file}x", "--robot", "2"),
-        "a stranger": Pretender(tmp_path, "-m", "agent", "--fleet", file, "--robot", "9"),
-        "no number": Pretender(tmp_path, "-m", "agent", "--fleet", file, "--robot", "x"),
-        "a recorder": Pretender(tmp_path, "-m", "agent.recorder", "--fleet", file, "--robot", "1"),
-        "cut short": Pretender(tmp_path, "-m", "agent", "--robot", "1", "--fleet"),
+        "another fleet's": Pretender(tmp_path, "-m", "handfast.agent", "--fleet", f"{file}x", "--robot", "2"),
+        "a stranger": Pretender(tmp_path, "-m", "handfast.agent", "--fleet", file, "--robot", "9"),
+        "no number": Pretender(tmp_path, "-m", "handfast.agent", "--fleet", file, "--robot", "x"),
+        "a recorder": Pretender(tmp_path, "-m", "handfast.agent.recorder", "--fleet", file, "--robot", "1"),
+        "cut short": Pretender(tmp_path, "-m", "handfast.agent", "--robot", "1", "--fleet"),
     }
     for each in started.values():
         each.there()
@@ -76,7 +76,18 @@ def test_those_that_read_the_fleet_file(robots: dict[str, Pretender], tmp_path: 
 
 def test_the_plants_that_share_a_process_are_each_there(tmp_path: Path) -> None:
     file = tmp_path / "fleet.toml"
-    words = "-m", "plant", "--fleet", str(file), "--robot", "1", "--orders", "x", "--with=2", "--logs=/x"
+    words = (
+        "-m",
+        "handfast.plant",
+        "--fleet",
+        str(file),
+        "--robot",
+        "1",
+        "--orders",
+        "x",
+        "--with=2",
+        "--logs=/x",
+    )
     pool = Pretender(tmp_path, *words)
     try:
         pool.there()

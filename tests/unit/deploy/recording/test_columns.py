@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.recording.columns import ASIDE_BYTES, Store
+from handfast.deploy.recording.columns import ASIDE_BYTES, Store
 
 MANY = ASIDE_BYTES // 8
 

@@ -20,13 +20,13 @@ from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.writer import CompressionType
 
-from agent.fleet.loading import to_dict
-from agent.messages.codec import encode
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.mcap_records import MAGIC
-from deploy.recording.recorder import Recorder, RecordingError
-from deploy.recording.recording import Recording
-from deploy.report.run_folder import rebuild
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.messages.codec import encode
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.mcap_records import MAGIC
+from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.run_folder import rebuild
 from tests.unit.deploy.recording.test_recording import rewritten
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 

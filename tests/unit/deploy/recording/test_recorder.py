@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from agent.fleet.loading import parse_fleet
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import (
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import (
     CLASSES,
     CORRUPTED,
     HELD,
@@ -33,12 +33,12 @@ from agent.messages.types import (
     Status,
     Wrench,
 )
-from deploy.recording.foxglove.channels import Channels
-from deploy.recording.foxglove.schemas import SCHEMAS
-from deploy.recording.mcap_reader import read_mcap
-from deploy.recording.mcap_records import MAGIC
-from deploy.recording.message_json import reader, schema, to_json
-from deploy.recording.recorder import (
+from handfast.deploy.recording.foxglove.channels import Channels
+from handfast.deploy.recording.foxglove.schemas import SCHEMAS
+from handfast.deploy.recording.mcap_reader import read_mcap
+from handfast.deploy.recording.mcap_records import MAGIC
+from handfast.deploy.recording.message_json import reader, schema, to_json
+from handfast.deploy.recording.recorder import (
     CHANNELS_MAX,
     FLUSH_PERIOD_NS,
     OUTCOME_METADATA,
@@ -46,7 +46,7 @@ from deploy.recording.recorder import (
     Recorder,
     RecordingError,
 )
-from deploy.recording.run_files import FLEET_FILE
+from handfast.deploy.recording.run_files import FLEET_FILE
 from tests.declared_messages import messages_of
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,

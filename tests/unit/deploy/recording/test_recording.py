@@ -17,13 +17,13 @@ import tomli_w
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from agent.common.time import LocalTime
-from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet, FleetError
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import (
+from handfast.agent.common.time import LocalTime
+from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import (
     Checks,
     Decision,
     Event,
@@ -38,15 +38,15 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.recording.collector import RunData
-from deploy.recording.mcap_reader import read_mcap, read_run
-from deploy.recording.mcap_records import MAGIC
-from deploy.recording.message_json import to_json
-from deploy.recording.recorder import Recorder, RecordingError
-from deploy.recording.recording import Recording
-from deploy.recording.tables import Table
-from deploy.report.export import tabulate
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.mcap_reader import read_mcap, read_run
+from handfast.deploy.recording.mcap_records import MAGIC
+from handfast.deploy.recording.message_json import to_json
+from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import Table
+from handfast.deploy.report.export import tabulate
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,
     Sent,
@@ -454,7 +454,7 @@ def test_a_recording_of_version_2_is_read_as_well(tmp_path: Path, monkeypatch: p
     """Its plant states do not say whether a body obeys."""
     sent = list(messages(FLEET, in_formation(FLEET)))
     monkeypatch.setattr(
-        "deploy.recording.recorder.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b"")
+        "handfast.deploy.recording.recorder.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b"")
     )
     folder = write_run(tmp_path / "run", FLEET, sent)
     assert_same(read_run(folder), fed(FLEET, sent))

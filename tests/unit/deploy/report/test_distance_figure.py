@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.fleet.model import Fleet
-from deploy.report.distance_figure import (
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.report.distance_figure import (
     NAMED_MAX,
     THIN_MAX,
     Line,
@@ -17,8 +17,8 @@ from deploy.report.distance_figure import (
     near_edges,
     near_strangers,
 )
-from deploy.report.drawing.plotting import GREY
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.report.drawing.plotting import GREY
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import result_of
 from tests.unit.deploy.synthetic_run import Path, make_fleet, standing, triangle
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.types import StatusText, Stop
-from deploy.playback import marks
-from deploy.recording.collector import RunData
-from deploy.recording.recorder import RecordingError
-from deploy.report.events_file import write_events
-from deploy.verdict.run_result import RunResult
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import StatusText, Stop
+from handfast.deploy.playback import marks
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.report.events_file import write_events
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages
 

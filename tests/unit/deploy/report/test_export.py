@@ -13,14 +13,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from agent.common.exit import INTERRUPTED, PASSED
-from agent.messages.codec import encode
-from deploy.cli import main
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recorder import Recorder, RecordingError
-from deploy.report import export as export_module
-from deploy.report.export import export, tabulate
-from deploy.verdict.run_result import RunResult
+from handfast.agent.common.exit import INTERRUPTED, PASSED
+from handfast.agent.messages.codec import encode
+from handfast.deploy.cli import main
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.report import export as export_module
+from handfast.deploy.report.export import export, tabulate
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages, standing, triangle
 

@@ -10,14 +10,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from agent.messages import key_expressions
-from deploy.recording.collector import RunData
-from deploy.recording.recorder import RecordingError
-from deploy.report import figures, report, timing_figure
-from deploy.report.drawing.plotting import new_figure
-from deploy.report.figures import remove_figures, write_figures
-from deploy.report.link_figure import _with_gaps
-from deploy.verdict.run_result import RunResult
+from handfast.agent.messages import key_expressions
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.report import figures, report, timing_figure
+from handfast.deploy.report.drawing.plotting import new_figure
+from handfast.deploy.report.figures import remove_figures, write_figures
+from handfast.deploy.report.link_figure import _with_gaps
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages, triangle
 

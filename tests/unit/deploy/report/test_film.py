@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agent.messages.types import PlantState
-from deploy.cli import main
-from deploy.recording.collector import RunData
-from deploy.report import film as module
-from deploy.report.film import FilmError, film
-from deploy.verdict.run_result import RunResult
+from handfast.agent.messages.types import PlantState
+from handfast.deploy.cli import main
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.report import film as module
+from handfast.deploy.report.film import FilmError, film
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
 from tests.unit.deploy.synthetic_run import in_formation, messages
 

@@ -11,20 +11,20 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fault_rules import Rule
-from agent.messages.types import Event
-from deploy.faults.windows import WINDOWS_MAX, windows
-from deploy.recording.columns import Store
-from deploy.recording.link_table import EXACT
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recording import Recording
-from deploy.recording.rows import StatusRows
-from deploy.report import link_figure
-from deploy.report.drawing import fault_strip
-from deploy.report.drawing.plotting import write
-from deploy.report.link_section import ROWS_MAX, advice, section
-from deploy.report.run_folder import rebuild, write_result
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.fault_rules import Rule
+from handfast.agent.messages.types import Event
+from handfast.deploy.faults.windows import WINDOWS_MAX, windows
+from handfast.deploy.recording.columns import Store
+from handfast.deploy.recording.link_table import EXACT
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.rows import StatusRows
+from handfast.deploy.report import link_figure
+from handfast.deploy.report.drawing import fault_strip
+from handfast.deploy.report.drawing.plotting import write
+from handfast.deploy.report.link_section import ROWS_MAX, advice, section
+from handfast.deploy.report.run_folder import rebuild, write_result
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio
 
 FAULTS = """

@@ -18,21 +18,21 @@ import numpy as np
 import pytest
 import tomli_w
 
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet
-from agent.fleet.sections import TrajectorySection
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Beacon, Mission, Silent, Status
-from deploy.analysis.analysis import analyse
-from deploy.recording.collector import RunData
-from deploy.recording.recorder import Recorder, RecordingError
-from deploy.recording.recording import Recording
-from deploy.report import figures, trajectory_figure
-from deploy.report.report import advice, write_report
-from deploy.report.run_folder import rebuild, write_result
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import TrajectorySection
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Beacon, Mission, Silent, Status
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report import figures, trajectory_figure
+from handfast.deploy.report.report import advice, write_report
+from handfast.deploy.report.run_folder import rebuild, write_result
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,
     Sent,

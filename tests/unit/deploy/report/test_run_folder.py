@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from agent.messages.codec import encode
-from deploy.console.interrupt import Interrupt
-from deploy.recording.recorder import Recorder, RecordingError
-from deploy.report import figures, report
-from deploy.report.run_folder import NotDrawn, RunFolder, rebuild
-from deploy.verdict import metrics
+from handfast.agent.messages.codec import encode
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.report import figures, report
+from handfast.deploy.report.run_folder import NotDrawn, RunFolder, rebuild
+from handfast.deploy.verdict import metrics
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages
 
 COMPLETE = {"events.txt", "fleet.toml", "metrics.json", "run.mcap"}

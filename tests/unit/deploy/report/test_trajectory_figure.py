@@ -9,8 +9,8 @@ import pytest
 from matplotlib.collections import EllipseCollection, PolyCollection
 from matplotlib.text import Annotation
 
-from deploy.report.figures import figure
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.report.figures import figure
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import result_of
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, standing, triangle
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.recording.recorder import RecordingError
-from deploy.report.whole_file import whole_file, whole_files
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.report.whole_file import whole_file, whole_files
 
 
 def test_it_takes_its_name_once_it_is_whole(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ from typing import cast
 
 import pytest
 
-from agent.messages.types import Ask, Message, Status
-from deploy.orders.operator import Operator
-from deploy.session.operator_session import ASK_S, SEND_PERIOD_S, OperatorSession
+from handfast.agent.messages.types import Ask, Message, Status
+from handfast.deploy.orders.operator import Operator
+from handfast.deploy.session.operator_session import ASK_S, SEND_PERIOD_S, OperatorSession
 
 
 class Listening(OperatorSession):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from deploy.session.joined_bus import JoinedBus, JoinedPresence
+from handfast.deploy.session.joined_bus import JoinedBus, JoinedPresence
 
 AGENT, PLANT = "t/robot/1/alive/agent", "t/robot/1/alive/plant"
 

@@ -12,17 +12,17 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Message, PlantState, Status, Stop
-from agent.runtime import runtime_folder
-from deploy.analysis.lattice import lattice
-from deploy.orders import stop_outcome
-from deploy.orders.stop_outcome import Stopping
-from deploy.session import live_operators
-from deploy.session.live_operators import WAY, LiveWay, StopDoor
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Message, PlantState, Status, Stop
+from handfast.agent.runtime import runtime_folder
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.orders import stop_outcome
+from handfast.deploy.orders.stop_outcome import Stopping
+from handfast.deploy.session import live_operators
+from handfast.deploy.session.live_operators import WAY, LiveWay, StopDoor
 from tests.unit.deploy.orders.order_fleets import square
 
 FLEET = square()

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.security.certificates import DAY_S
-from agent.security.credentials import load, load_whenever
-from agent.security.identity import Identity, of_operator
-from deploy.console.arguments import InputError
-from deploy.inventory.operator_credentials import AUTHORITY_FILE, KEYS, OPERATOR, earlier_folders
-from deploy.session import operator_bus as module
-from deploy.session.operator_bus import JOINED_RETRY_MS, operator_bus
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.credentials import load, load_whenever
+from handfast.agent.security.identity import Identity, of_operator
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, KEYS, OPERATOR, earlier_folders
+from handfast.deploy.session import operator_bus as module
+from handfast.deploy.session.operator_bus import JOINED_RETRY_MS, operator_bus
 from tests.trusted import authority, credentials
 from tests.unit.deploy.orders.order_fleets import square
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.messages.codec import encode
-from agent.messages.types import Stop
-from deploy.console.arguments import InputError
-from deploy.session.sealing import sealed
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Stop
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.session.sealing import sealed
 from tests.unit.deploy.orders.order_fleets import square
 
 FLEET = square()

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.types import Resume, Status, Stop
-from agent.transport.bus import BusError
-from deploy.analysis.lattice import lattice
-from deploy.console.arguments import InputError
-from deploy.inventory.own_orders import OwnOrders
-from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
-from deploy.session import stop as stop_module
-from deploy.session.stop import StopSession, stop
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Resume, Status, Stop
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.own_orders import OwnOrders
+from handfast.deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
+from handfast.deploy.session import stop as stop_module
+from handfast.deploy.session.stop import StopSession, stop
 from tests.unit.deploy.inventory.test_own_orders import HOSTS
 from tests.unit.deploy.orders.order_fleets import square
 

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.messages.codec import decode, encode
-from agent.messages.key_expressions import ROLES
-from agent.messages.types import Resume, Stop
-from agent.runtime.order_store import STOP_FILE, OrderStore, packed, unpacked
-from agent.security.private_files import private_directory
-from deploy.analysis.lattice import lattice
-from deploy.check.load.sharing import sharing
-from deploy.orders.stop_outcome import Stopping
-from deploy.session.stop_by_file import WAY, FileWay, kept_versions
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.agent.messages.types import Resume, Stop
+from handfast.agent.runtime.order_store import STOP_FILE, OrderStore, packed, unpacked
+from handfast.agent.security.private_files import private_directory
+from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.orders.stop_outcome import Stopping
+from handfast.deploy.session.stop_by_file import WAY, FileWay, kept_versions
 from tests.unit.deploy.orders.order_fleets import square
 
 FLEET = square()

@@ -9,19 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import Checks, Message, PlantState, Status
-from bridges.mavlink.bridge.backend import BEGUN_LATE
-from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
-from deploy.console.data_files import FLEETS
-from deploy.simulate.bodies import Bodies
-from deploy.simulate.simulation import Simulation
-from plant.backend import Command
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Checks, Message, PlantState, Status
+from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
+from handfast.bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.bodies import Bodies
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.plant.backend import Command
 
 RESTART = """
 [[faults.rule]]

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from deploy.simulate.garbage import OBJECTS, seldom_looked_for
+from handfast.deploy.simulate.garbage import OBJECTS, seldom_looked_for
 
 
 @pytest.fixture(autouse=True)

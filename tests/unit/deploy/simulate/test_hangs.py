@@ -1,4 +1,5 @@
-"""deploy.simulate.hangs: a law or a plant that never returns in mid-drive ends as a fault of its robot."""
+"""handfast.deploy.simulate.hangs: a law or a plant that never returns in mid-drive ends as a fault of its
+robot."""
 
 from __future__ import annotations
 
@@ -8,10 +9,10 @@ from collections.abc import Iterator
 import pytest
 
 import handfast
-from agent.common import plugins
-from deploy.analysis import patience
-from deploy.simulate import hangs
 from handfast import Command, Law, Moment, Plant, Pose, Reading, Setup
+from handfast.agent.common import plugins
+from handfast.deploy.analysis import patience
+from handfast.deploy.simulate import hangs
 
 
 class LoopLaw(Law):

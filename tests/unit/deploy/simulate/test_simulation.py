@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet
-from agent.formation.geometry import resolved
-from agent.messages.codec import decode
-from agent.messages.types import PlantState
-from deploy.console.data_files import FLEETS
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import PlantState
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.simulation import Simulation
 
 PAIR = resolved(load_fleet(FLEETS / "pair.toml", ["fleet.duration_s=2"]))
 

@@ -8,17 +8,17 @@ from itertools import pairwise
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
-from agent.messages.validation import Malformed
-from agent.supervision.state_machine import State
-from deploy.orders.mission_editing import OrderError
-from deploy.orders.operator import HEARTBEAT_PERIOD_NS
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.orders.mission_editing import OrderError
+from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS
+from handfast.deploy.simulate.simulation import Simulation
 from tests.unit.deploy.orders.order_fleets import SQUARE, order, square
 
 Heard = list[tuple[int, str, Message]]

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from deploy.console.arguments import fleet_text
-from deploy.console.data_files import FLEETS
-from deploy.sweep.folder import SweepFolder
-from deploy.sweep.plan import Plan, Question
-from deploy.sweep.run import FAILED, PASSED, Row
-from deploy.sweep.varied import Axis, Range, parse_over
+from handfast.deploy.console.arguments import fleet_text
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.sweep.folder import SweepFolder
+from handfast.deploy.sweep.plan import Plan, Question
+from handfast.deploy.sweep.run import FAILED, PASSED, Row
+from handfast.deploy.sweep.varied import Axis, Range, parse_over
 
 
 def ask(*over: str, fleet: str = "delta", **rest: Any) -> Question:

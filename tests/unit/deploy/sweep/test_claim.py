@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from scipy.stats import beta
 
-from deploy.console.data_files import FLEETS
-from deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim, upper_bound
-from deploy.sweep.plan import Plan, Question, make_plan
-from deploy.sweep.run import CRASHED, FAILED, PASSED, Row
-from deploy.sweep.varied import parse_over
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim, upper_bound
+from handfast.deploy.sweep.plan import Plan, Question, make_plan
+from handfast.deploy.sweep.run import CRASHED, FAILED, PASSED, Row
+from handfast.deploy.sweep.varied import parse_over
 
 
 @pytest.mark.parametrize("of", [1, 30, 1000, 30_000])

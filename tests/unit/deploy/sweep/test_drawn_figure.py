@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deploy.sweep.drawn_figure import runs_at_their_draws
-from deploy.sweep.plan import Plan, make_plan
-from deploy.sweep.run import CRASHED, Row, unfinished
+from handfast.deploy.sweep.drawn_figure import runs_at_their_draws
+from handfast.deploy.sweep.plan import Plan, make_plan
+from handfast.deploy.sweep.run import CRASHED, Row, unfinished
 from tests.unit.deploy.sweep.asked import NEVER, ask, made
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy.console.arguments import fleet_text
-from deploy.console.data_files import FLEETS
-from deploy.sweep.folder import SweepFolder, read_question
-from deploy.sweep.plan import Question, make_plan
-from deploy.sweep.run import CRASHED, unfinished
-from deploy.sweep.varied import SweepError
+from handfast.deploy.console.arguments import fleet_text
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.sweep.folder import SweepFolder, read_question
+from handfast.deploy.sweep.plan import Question, make_plan
+from handfast.deploy.sweep.run import CRASHED, unfinished
+from handfast.deploy.sweep.varied import SweepError
 from tests.unit.deploy.sweep.asked import ask, fill
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.sweep.kinds_of_reasons import LETTERED, kinds_of_reasons
+from handfast.deploy.sweep.kinds_of_reasons import LETTERED, kinds_of_reasons
 
 
 def test_other_numbers_are_the_same_kind() -> None:

@@ -14,25 +14,25 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, kstest
 
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet, FleetError
-from agent.formation.geometry import start_hands
-from agent.messages.codec import decode
-from deploy.console.data_files import FLEETS
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
-from deploy.recording.tables import Table
-from deploy.simulate import judged
-from deploy.simulate.simulation import Simulation
-from deploy.simulate.worker_pool import Abandoned, GoOn
-from deploy.sweep.figures import PANELS_MAX, write_sweep_figures
-from deploy.sweep.folder import SweepFolder, read_question
-from deploy.sweep.plan import Plan, Question, make_plan
-from deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
-from deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
-from deploy.sweep.varied import Axis, SweepError, parse_axis
-from deploy.verdict.metrics import columns
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.formation.geometry import start_hands
+from handfast.agent.messages.codec import decode
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import Table
+from handfast.deploy.simulate import judged
+from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.deploy.sweep.figures import PANELS_MAX, write_sweep_figures
+from handfast.deploy.sweep.folder import SweepFolder, read_question
+from handfast.deploy.sweep.plan import Plan, Question, make_plan
+from handfast.deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
+from handfast.deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
+from handfast.deploy.sweep.varied import Axis, SweepError, parse_axis
+from handfast.deploy.verdict.metrics import columns
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.sweep.asked import NEVER, ask, fill, made
 
 DELTA = FLEETS / "delta.toml"

@@ -6,9 +6,9 @@ import gc
 
 import pytest
 
-from deploy.sweep.claim import make_claim
-from deploy.sweep.plan import Question, make_plan
-from deploy.sweep.run import PASSED, execute
+from handfast.deploy.sweep.claim import make_claim
+from handfast.deploy.sweep.plan import Question, make_plan
+from handfast.deploy.sweep.run import PASSED, execute
 
 ALONE = """
 [fleet]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.model import FleetError
-from deploy.console.data_files import FLEETS
-from deploy.sweep.plan import Plan, Question, make_plan
-from deploy.sweep.varied import Axis, Range, SweepError, parse_over
+from handfast.agent.fleet.model import FleetError
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.sweep.plan import Plan, Question, make_plan
+from handfast.deploy.sweep.varied import Axis, Range, SweepError, parse_over
 
 
 def plan_of(over: str, repeat: int = 40, law: str | None = None, *overrides: str) -> Plan:

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.messages.types import Status
-from deploy.analysis.analysis import analyse
-from deploy.recording.recording import Recording
-from deploy.verdict.causes import Causes, held_by, kept_from
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages.types import Status
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.causes import Causes, held_by, kept_from
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Path, Sent, make_fleet, messages, standing
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.types import Event, PlantState, Status, Stop
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.recording.recording import Recording
-from deploy.verdict.completeness import Completeness
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Event, PlantState, Status, Stop
+from handfast.deploy.analysis.analysis import Analysis, analyse
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.completeness import Completeness
 from tests.unit.deploy.judged_run import recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.verdict.evidence import Evidence
+from handfast.deploy.verdict.evidence import Evidence
 from tests.unit.deploy.judged_run import PAIR, recorded, status, with_statuses
 
 

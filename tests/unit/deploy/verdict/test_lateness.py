@@ -7,10 +7,10 @@ from math import inf
 
 import pytest
 
-from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.messages.types import Status
-from deploy.recording.recording import Recording
-from deploy.verdict.lateness import Late, Made, made_late, unexplained
+from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.messages.types import Status
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.lateness import Late, Made, made_late, unexplained
 from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.silent_run import ALL, FROM_S, UNTIL_S, paused, silent
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.types import (
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import (
     DUPLICATED,
     HELD,
     LOST,
@@ -20,12 +20,12 @@ from agent.messages.types import (
     LinkTrace,
     Status,
 )
-from deploy.analysis.analysis import analyse
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
-from deploy.verdict import link_metrics
-from deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings, describe_links
-from deploy.verdict.run_result import RunResult
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict import link_metrics
+from handfast.deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings, describe_links
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, recorded, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 

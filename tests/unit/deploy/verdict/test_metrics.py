@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.types import Message, Mission, PlantState, Status
-from deploy.recording.recorder import RecordingError
-from deploy.verdict.metrics import write
-from deploy.verdict.run_result import RunResult
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Message, Mission, PlantState, Status
+from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.verdict.metrics import write
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import NAME, PAIR, body, driven, judged, recorded, status, with_statuses
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.simulate import worker_pool
-from deploy.sweep.run import Row, Runs
-from deploy.verdict import metrics
-from deploy.verdict.metrics import METRICS, Column, Metric, Picture, columns, look_up
-from deploy.verdict.run_result import RunResult
+from handfast.deploy import cli
+from handfast.deploy.simulate import worker_pool
+from handfast.deploy.sweep.run import Row, Runs
+from handfast.deploy.verdict import metrics
+from handfast.deploy.verdict.metrics import METRICS, Column, Metric, Picture, columns, look_up
+from handfast.deploy.verdict.run_result import RunResult
 
 LONGEST = Metric(
     "longest_edge_m.ever",

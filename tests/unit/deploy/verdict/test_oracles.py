@@ -8,17 +8,17 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fault_rules import Effect, FaultsSection, Rule
-from agent.fleet.fault_targets import Partition
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection
-from agent.fleet.sections import ControlSection
-from agent.formation.geometry import resolve
-from agent.impairments.impairments import Delay
-from agent.impairments.loss_models import Loss
-from agent.messages import key_expressions
-from agent.messages.types import (
+from handfast.agent.fleet.fault_rules import Effect, FaultsSection, Rule
+from handfast.agent.fleet.fault_targets import Partition
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection
+from handfast.agent.fleet.sections import ControlSection
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.impairments.impairments import Delay
+from handfast.agent.impairments.loss_models import Loss
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import (
     Decision,
     Event,
     LinkTrace,
@@ -30,12 +30,12 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.analysis.analysis import analyse
-from deploy.recording.collector import RunData
-from deploy.recording.recording import Recording
-from deploy.verdict.oracles import ORACLES, examine
-from deploy.verdict.oracles_drive import formed_by_s
-from deploy.verdict.violations import Violation
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.oracles import ORACLES, examine
+from handfast.deploy.verdict.oracles_drive import formed_by_s
+from handfast.deploy.verdict.violations import Violation
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing, triangle
 from tests.unit.deploy.synthetic_run import Path as Way
 

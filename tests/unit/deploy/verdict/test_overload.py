@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.fleet.model import Fleet
-from agent.messages.types import Event, PlantState, Status
-from deploy.recording.recording import Recording
-from deploy.verdict.metrics import compute
-from deploy.verdict.overload import _all_stall_words, explains, late_robots, slowed_s, warnings
-from deploy.verdict.run_result import RunResult
-from deploy.verdict.standstills import Cause, Stall
+from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Event, PlantState, Status
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.metrics import compute
+from handfast.deploy.verdict.overload import _all_stall_words, explains, late_robots, slowed_s, warnings
+from handfast.deploy.verdict.run_result import RunResult
+from handfast.deploy.verdict.standstills import Cause, Stall
 from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.silent_run import ALL, OF_AGENTS, ROUTED, STOOD, UNHEARD, paused, silent
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.fleet.model import Fleet
-from agent.fleet.orders import OrderSection
-from agent.fleet.safety import AvoidanceSection
-from agent.messages import key_expressions
-from agent.messages.types import Message, Mission, PlantState, Status, Stop
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.fleet.safety import AvoidanceSection
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Message, Mission, PlantState, Status, Stop
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import NAME, PAIR, body, driven, judged, recorded, status, with_statuses
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from agent.messages.types import Status
-from bridges.mavlink.bridge.authority import REBOOTED, UNHEARD, Authority
-from bridges.mavlink.bridge.backend import BEGUN_LATE, FENCED, NOT_HEARD_YET
-from bridges.mavlink.bridge.estimate import Residual
-from bridges.mavlink.bridge.setpoint import MotionCheck
-from deploy.verdict.releases import NOT_ITS_OPERATORS, PERHAPS_ITS_OPERATORS
+from handfast.agent.messages.types import Status
+from handfast.bridges.mavlink.bridge.authority import REBOOTED, UNHEARD, Authority
+from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE, FENCED, NOT_HEARD_YET
+from handfast.bridges.mavlink.bridge.estimate import Residual
+from handfast.bridges.mavlink.bridge.setpoint import MotionCheck
+from handfast.deploy.verdict.releases import NOT_ITS_OPERATORS, PERHAPS_ITS_OPERATORS
 from tests.unit.deploy.judged_run import PAIR, body, judged
 from tests.unit.deploy.synthetic_run import EPOCH_NS, messages, standing
 

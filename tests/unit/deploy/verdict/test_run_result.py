@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.analysis import analysis
-from deploy.console.arguments import fleet_text
-from deploy.console.data_files import FLEETS
-from deploy.sweep.plan import Question, make_plan
-from deploy.sweep.run import PASSED, execute
-from deploy.verdict.run_result import RunResult
+from handfast.deploy import cli
+from handfast.deploy.analysis import analysis
+from handfast.deploy.console.arguments import fleet_text
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.sweep.plan import Question, make_plan
+from handfast.deploy.sweep.run import PASSED, execute
+from handfast.deploy.verdict.run_result import RunResult
 from tests.chaos.run import drive
 from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.simulated_run import TRIO

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.messages.types import HandState, PlantState, Status
-from deploy.recording.recording import Recording
-from deploy.verdict.standstills import Cause, machines, stalls, stood_alone
+from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.messages.types import HandState, PlantState, Status
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.standstills import Cause, machines, stalls, stood_alone
 from tests.unit.deploy.silent_run import (
     ALL,
     BOTH,

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.fleet.model import Fleet
-from agent.messages.types import Event, Message, Status
-from deploy.recording.recording import Recording
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Event, Message, Status
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Path, make_fleet, messages
 

@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, cast
 
-from agent.fleet.loading import digest
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import HandState, Message, Mission, NeighbourStatus, PlantState, Status
-from deploy.session.joined_bus import OperatorBus
-from deploy.view.live_fleet import LiveFleet
+from handfast.agent.fleet.loading import digest
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import HandState, Message, Mission, NeighbourStatus, PlantState, Status
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.view.live_fleet import LiveFleet
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = resolved(square("fleet.duration_s=60"))

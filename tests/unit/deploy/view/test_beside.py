@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from deploy.console import program
-from deploy.console.interrupt import Interrupt
-from deploy.view import beside as beside_module
-from deploy.view.beside import OVER, RECORDED, PageBeside
+from handfast.deploy.console import program
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.view import beside as beside_module
+from handfast.deploy.view.beside import OVER, RECORDED, PageBeside
 
 NOTES = "import sys; open(sys.argv[2] + '/said', 'wb').write(sys.stdin.buffer.read())"
 FIRST_LINES = (

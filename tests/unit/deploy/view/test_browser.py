@@ -7,7 +7,7 @@ import webbrowser
 
 import pytest
 
-from deploy.view.browser import open_browser
+from handfast.deploy.view.browser import open_browser
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.security.credentials import AUTHORITY_CERTIFICATE
-from deploy.console.arguments import InputError
-from deploy.inventory.certificate_authority import INDEX_FILE
-from deploy.inventory.operator_credentials import KEYS
-from deploy.view.certificate import address_of, tls_of
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.inventory.certificate_authority import INDEX_FILE
+from handfast.deploy.inventory.operator_credentials import KEYS
+from handfast.deploy.view.certificate import address_of, tls_of
 from tests.trusted import authority
 
 HERE = "127.0.0.2"

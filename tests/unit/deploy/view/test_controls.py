@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agent.messages.types import Message, Mission, Resume, Stop
-from deploy.view import controls as controls_module
-from deploy.view.controls import ID_MAX, KNOWN_MAX, LINES_MAX, REASON_MAX, SHOWN_MAX, Controls
-from deploy.view.orders import RefusedError
+from handfast.agent.messages.types import Message, Mission, Resume, Stop
+from handfast.deploy.view import controls as controls_module
+from handfast.deploy.view.controls import ID_MAX, KNOWN_MAX, LINES_MAX, REASON_MAX, SHOWN_MAX, Controls
+from handfast.deploy.view.orders import RefusedError
 from tests.unit.deploy.orders.order_fleets import S
 from tests.unit.deploy.view.running import FLEET, Running
 from tests.unit.deploy.view.test_orders import Way, begun, brake, stopped

@@ -9,11 +9,17 @@ from typing import Any
 
 import pytest
 
-from agent.messages import key_expressions
-from agent.messages.types import AUTHOR_MAX, EVERY_AUTHOR, Faults
-from deploy.session.fault_injection import AFTER_END_NS, ECHO_S, LEASE_NS, ORIGIN_AHEAD_NS, SEND_PERIOD_NS
-from deploy.view.faults import FaultUnderWay, HealUnderWay, LiveFaults
-from deploy.view.orders import RefusedError, UnderWay
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import AUTHOR_MAX, EVERY_AUTHOR, Faults
+from handfast.deploy.session.fault_injection import (
+    AFTER_END_NS,
+    ECHO_S,
+    LEASE_NS,
+    ORIGIN_AHEAD_NS,
+    SEND_PERIOD_NS,
+)
+from handfast.deploy.view.faults import FaultUnderWay, HealUnderWay, LiveFaults
+from handfast.deploy.view.orders import RefusedError, UnderWay
 from tests.unit.deploy.orders.order_fleets import S
 from tests.unit.deploy.view.running import FLEET, NAME, Running
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.playback.page import MODULES, STYLE, asset, served
-from deploy.view.files import page_files
+from handfast.deploy.playback.page import MODULES, STYLE, asset, served
+from handfast.deploy.view.files import page_files
 
 
 @pytest.mark.parametrize("what", ["live", "recorded"])

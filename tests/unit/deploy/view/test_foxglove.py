@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
-from agent.common.errors import MissingPackageError
-from agent.messages import key_expressions
-from agent.messages.types import PlantState
-from deploy.recording.foxglove.schemas import DIAGNOSTICS, LOG, PLOTS, POSES, ROBOTS, SCHEMAS, TOPICS
-from deploy.view.foxglove import BACKLOG, PORT, FoxgloveServer, ServeError, layout_path
+from handfast.agent.common.errors import MissingPackageError
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import PlantState
+from handfast.deploy.recording.foxglove.schemas import DIAGNOSTICS, LOG, PLOTS, POSES, ROBOTS, SCHEMAS, TOPICS
+from handfast.deploy.view.foxglove import BACKLOG, PORT, FoxgloveServer, ServeError, layout_path
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=1.0, velocity=(0.3, 0.0))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.view.history import BYTES_MAX, History
+from handfast.deploy.view.history import BYTES_MAX, History
 
 
 def rows_of(history: History, width: int) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:

@@ -13,12 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from websockets.asyncio.client import connect
 
-from agent.fleet.model import Fleet
-from agent.messages.types import Ask, Faults, Mission, Stop
-from deploy.session.joined_bus import OperatorBus
-from deploy.view.live import LiveServer
-from deploy.view.live_fleet import LiveFleet
-from deploy.view.server import TALK_PATH, Content
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.types import Ask, Faults, Mission, Stop
+from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.deploy.view.live import LiveServer
+from handfast.deploy.view.live_fleet import LiveFleet
+from handfast.deploy.view.server import TALK_PATH, Content
 from tests.unit.deploy.view.running import FLEET, HeldBus, Running
 from tests.unit.deploy.view.test_controls import VALUES
 from tests.unit.deploy.view.test_orders import Way, begun

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.formation.geometry import resolved
-from agent.messages import key_expressions
-from agent.messages.types import Message, PlantState, Stop, Wrench
-from deploy.playback.looks import LOOKS, SILENT
-from deploy.playback.track import COLUMNS
-from deploy.session.session import valid
-from deploy.view import live_fleet
-from deploy.view.live_fleet import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Message, PlantState, Stop, Wrench
+from handfast.deploy.playback.looks import LOOKS, SILENT
+from handfast.deploy.playback.track import COLUMNS
+from handfast.deploy.session.session import valid
+from handfast.deploy.view import live_fleet
+from handfast.deploy.view.live_fleet import (
     APART,
     BLEND_NS,
     FORCE_COLUMNS,
@@ -28,7 +28,7 @@ from deploy.view.live_fleet import (
     HISTORY_COLUMNS,
     PANEL_NS,
 )
-from deploy.view.motion import SILENT_NS
+from handfast.deploy.view.motion import SILENT_NS
 from tests.unit.deploy.orders.order_fleets import S, after, first_plan, order, square
 from tests.unit.deploy.view.running import FLEET, NAME, START, Running, heard_of
 

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import Distance, HandState, Mission, Place, PlantState, Status
-from deploy.drive.watch import Watch
-from deploy.orders.mission_editing import first_mission
-from deploy.playback.track import COLUMNS
-from deploy.view.motion import PLACE_DIGITS, SILENT_NS, Motion
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.types import Distance, HandState, Mission, Place, PlantState, Status
+from handfast.deploy.drive.watch import Watch
+from handfast.deploy.orders.mission_editing import first_mission
+from handfast.deploy.playback.track import COLUMNS
+from handfast.deploy.view.motion import PLACE_DIGITS, SILENT_NS, Motion
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order
 from tests.unit.deploy.view.running import FLEET, NAME, START
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from agent.formation.geometry import resolved
-from agent.formation.mission_plan import Plan, plan_of
-from deploy.check.check import check
-from deploy.check.finding import Finding
-from deploy.orders.mission_editing import ordered
-from deploy.view import moves
-from deploy.view.moves import SAID_MAX, judged, order_to_move
-from deploy.view.orders import RefusedError
+from handfast.agent.formation.geometry import resolved
+from handfast.agent.formation.mission_plan import Plan, plan_of
+from handfast.deploy.check.check import check
+from handfast.deploy.check.finding import Finding
+from handfast.deploy.orders.mission_editing import ordered
+from handfast.deploy.view import moves
+from handfast.deploy.view.moves import SAID_MAX, judged, order_to_move
+from handfast.deploy.view.orders import RefusedError
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = resolved(square())

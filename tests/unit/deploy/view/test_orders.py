@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.orders import OrderSection
-from agent.messages import key_expressions
-from agent.messages.codec import encode, newer
-from agent.messages.types import Ask, Mission, Resume, Stop
-from deploy.drive.preconditions import OVER
-from deploy.orders.stop_outcome import Stopping, again_s
-from deploy.session.session import ANSWER_S
-from deploy.session.stop import WAIT_S
-from deploy.view.orders import (
+from handfast.agent.fleet.orders import OrderSection
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import encode, newer
+from handfast.agent.messages.types import Ask, Mission, Resume, Stop
+from handfast.deploy.drive.preconditions import OVER
+from handfast.deploy.orders.stop_outcome import Stopping, again_s
+from handfast.deploy.session.session import ANSWER_S
+from handfast.deploy.session.stop import WAIT_S
+from handfast.deploy.view.orders import (
     SEEN_S_MAX,
     ChangeUnderWay,
     RefusedError,

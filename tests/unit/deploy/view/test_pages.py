@@ -14,11 +14,11 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from deploy.playback.track import COLUMNS
-from deploy.view import pages as pages_module
-from deploy.view.live_fleet import FORCE_COLUMNS, HEAD, HISTORY_COLUMNS
-from deploy.view.pages import AHEAD, FULL, HURRIED, PAGES_MAX, REFUSED, REQUESTS_MAX, Pages
-from deploy.view.server import MESSAGE_BYTES_MAX, TALK_PATH, Content, Server
+from handfast.deploy.playback.track import COLUMNS
+from handfast.deploy.view import pages as pages_module
+from handfast.deploy.view.live_fleet import FORCE_COLUMNS, HEAD, HISTORY_COLUMNS
+from handfast.deploy.view.pages import AHEAD, FULL, HURRIED, PAGES_MAX, REFUSED, REQUESTS_MAX, Pages
+from handfast.deploy.view.server import MESSAGE_BYTES_MAX, TALK_PATH, Content, Server
 from tests.unit.deploy.orders.order_fleets import S
 from tests.unit.deploy.view.running import FLEET, Running
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from deploy.playback.page import MODULES, served
-from deploy.playback.track import Track
-from deploy.view.recorded import answers
+from handfast.deploy.playback.page import MODULES, served
+from handfast.deploy.playback.track import Track
+from handfast.deploy.view.recorded import answers
 from tests.unit.deploy.playback.runs import result_of
 
 

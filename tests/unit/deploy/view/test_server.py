@@ -18,7 +18,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from deploy.view.server import CONNECTIONS_MAX, LOOPBACK, TALK_PATH, Content, Server, Talk, keep
+from handfast.deploy.view.server import CONNECTIONS_MAX, LOOPBACK, TALK_PATH, Content, Server, Talk, keep
 
 POLICY = "default-src 'none'"
 

@@ -9,8 +9,8 @@ from contextlib import suppress
 
 import pytest
 
-from deploy.console import program
-from deploy.view.start import LINES_MAX, StartUnderWay
+from handfast.deploy.console import program
+from handfast.deploy.view.start import LINES_MAX, StartUnderWay
 
 SAYS_ITS_ARGUMENTS = "import sys; print(*sys.argv[1:], sep='|')"
 

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from math import cos, sin
 from typing import Any
 
-from agent.control.peers.peers import Peers
-from agent.control.peers.prediction import Prediction
-from agent.formation.reference import Instant
-from agent.formation.trajectory import Sample
-from agent.messages.types import Beacon, HandState, Silent
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.prediction import Prediction
+from handfast.agent.formation.reference import Instant
+from handfast.agent.formation.trajectory import Sample
+from handfast.agent.messages.types import Beacon, HandState, Silent
 
 PERIOD = 20_000_000
 S = 1_000_000_000

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.peers.beliefs import (
+from handfast.agent.control.peers.beliefs import (
     DOUBT_MAX,
     DOUBT_ROLLS_MAX,
     STRETCH,
@@ -23,7 +23,7 @@ from agent.control.peers.beliefs import (
     stood_between,
     stood_on,
 )
-from agent.control.peers.rolling import Rolls, arc, rolled
+from handfast.agent.control.peers.rolling import Rolls, arc, rolled
 
 Row = tuple[float, float, float]
 

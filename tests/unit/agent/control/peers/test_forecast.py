@@ -6,13 +6,13 @@ from math import dist, hypot
 
 import pytest
 
-from agent.control.peers.forecast import DRIVEN_MAX, STEP_S, Forecast
-from agent.control.peers.prediction import coasting
-from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolve
-from agent.formation.mission_plan import plan_of
-from agent.formation.reference import Reference
-from agent.messages.types import HandState, Mission
+from handfast.agent.control.peers.forecast import DRIVEN_MAX, STEP_S, Forecast
+from handfast.agent.control.peers.prediction import coasting
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.formation.mission_plan import plan_of
+from handfast.agent.formation.reference import Reference
+from handfast.agent.messages.types import HandState, Mission
 
 FLEET = """
 robot = [

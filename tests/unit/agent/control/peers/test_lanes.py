@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.peers.lanes import LENGTH_MAX, RUN, Lane, offset
+from handfast.agent.control.peers.lanes import LENGTH_MAX, RUN, Lane, offset
 
 POINT = st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0))
 

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from agent.control.peers.lateness import (
+from handfast.agent.control.peers.lateness import (
     LATE_MAX_NS,
     OUTAGE_PERIODS,
     UNSURE_NS,

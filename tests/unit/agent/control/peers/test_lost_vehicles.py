@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from agent.control.peers.peers import Peers
-from agent.control.peers.rolling import Rolls, arc, middle
-from agent.messages.types import HandState, Silent
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.rolling import Rolls, arc, middle
+from handfast.agent.messages.types import HandState, Silent
 from tests.unit.agent.control.peers.neighbours import PERIOD, T0, S, heard, message, peers
 
 ROLLS = Rolls(3.5, 0.4)

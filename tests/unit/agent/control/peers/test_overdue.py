@@ -5,10 +5,10 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peer import Peer
-from agent.control.peers.peers import Peers
-from agent.messages.types import Beacon, HandState, Silent
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.messages.types import Beacon, HandState, Silent
 from tests.unit.agent.control.peers.neighbours import PERIOD, T0, S, peers
 
 HORIZON_S = 0.6

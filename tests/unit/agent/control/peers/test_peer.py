@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
-from agent.control.peers.rolling import Rolls
+from handfast.agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
+from handfast.agent.control.peers.rolling import Rolls
 from tests.unit.agent.control.peers.neighbours import (
     PERIOD,
     T0,

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.control.law import acting_error
-from agent.control.peers.lateness import LATE_MAX_NS, STOOD_KEPT_NS, UNSURE_NS
-from agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S, Peers
-from agent.control.peers.prediction import as_it_came, coasting, following, transition
-from agent.messages.types import HandState, Removed, Silent
+from handfast.agent.control.law import acting_error
+from handfast.agent.control.peers.lateness import LATE_MAX_NS, STOOD_KEPT_NS, UNSURE_NS
+from handfast.agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S, Peers
+from handfast.agent.control.peers.prediction import as_it_came, coasting, following, transition
+from handfast.agent.messages.types import HandState, Removed, Silent
 from tests.unit.agent.control.peers.neighbours import (
     C1,
     C2,

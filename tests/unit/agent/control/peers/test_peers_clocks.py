@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from agent.control.peers.peers import Peers
-from agent.messages.codec import decode, encode
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX
 from tests.unit.agent.control.peers.neighbours import (
     OFFSETS,
     PERIOD,

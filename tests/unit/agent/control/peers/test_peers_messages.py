@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.messages.types import FUTURE_NS_MAX, HandState
+from handfast.agent.messages.types import FUTURE_NS_MAX, HandState
 from tests.unit.agent.control.peers.neighbours import (
     OFFSETS,
     PERIOD,

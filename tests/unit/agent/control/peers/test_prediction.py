@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from agent.control.law import acting_error, firmness, navigation_force
-from agent.control.peers.prediction import (
+from handfast.agent.control.law import acting_error, firmness, navigation_force
+from handfast.agent.control.peers.prediction import (
     BRAKING_TIME_S,
     Prediction,
     as_it_came,
@@ -22,9 +22,9 @@ from agent.control.peers.prediction import (
     following,
     transition,
 )
-from agent.formation.points import Floats
-from agent.formation.trajectory import Sample
-from agent.messages.types import HandState
+from handfast.agent.formation.points import Floats
+from handfast.agent.formation.trajectory import Sample
+from handfast.agent.messages.types import HandState
 from tests.values import values
 
 C1, C2 = 0.4, 0.6

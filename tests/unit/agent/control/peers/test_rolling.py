@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.hand import Pose, advance, hand
-from agent.control.peers.rolling import (
+from handfast.agent.control.hand import Pose, advance, hand
+from handfast.agent.control.peers.rolling import (
     SPEED_LAGS,
     SPEED_LEADS_S,
     STOPS_S,
@@ -29,8 +29,8 @@ from agent.control.peers.rolling import (
     room_to_know,
     setpoint,
 )
-from agent.fleet.loading import parse_fleet
-from agent.messages.types import HandState
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.messages.types import HandState
 
 REACH = 0.4
 ROLLS = Rolls(3.5, REACH)

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from agent.control.peers.lateness import UNSURE_NS
-from agent.control.peers.peers import Peers
-from agent.control.peers.rolling import Rolls, arc, arc_of, middle
-from agent.control.peers.silent_rows import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
-from agent.messages.types import SILENT_MAX, Beacon, HandState, Removed, Silent
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.rolling import Rolls, arc, arc_of, middle
+from handfast.agent.control.peers.silent_rows import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
+from handfast.agent.messages.types import SILENT_MAX, Beacon, HandState, Removed, Silent
 from tests.unit.agent.control.peers.neighbours import (
     PERIOD,
     T0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.lateness import UNSURE_NS
 from tests.unit.agent.control.peers.neighbours import (
     PERIOD,
     T0,

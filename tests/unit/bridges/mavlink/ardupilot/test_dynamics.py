@@ -11,7 +11,7 @@ from math import cos, degrees, hypot, pi, sin
 
 import pytest
 
-from bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics
+from handfast.bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics
 
 DT = 0.005
 TIME = 0.02

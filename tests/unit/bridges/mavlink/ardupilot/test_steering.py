@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from bridges.mavlink.ardupilot.steering import ALL, FRAME_TYPE, USUAL, to_read, trouble, turns_on_the_spot
+from handfast.bridges.mavlink.ardupilot.steering import (
+    ALL,
+    FRAME_TYPE,
+    USUAL,
+    to_read,
+    trouble,
+    turns_on_the_spot,
+)
 
 NONE = dict.fromkeys(ALL, 0.0)
 

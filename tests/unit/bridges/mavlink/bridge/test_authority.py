@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink.bridge.authority import REBOOTED, TRANSITIONS, Authority, Holder
+from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.bridges.mavlink.bridge.authority import REBOOTED, TRANSITIONS, Authority, Holder
 
 MANUAL = "mode MANUAL, not GUIDED"
 LOST = "no heartbeat for 4 s"

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot.frames import datum_of
-from bridges.mavlink.bridge.backend import BRAKE_NS_MAX, session
-from bridges.mavlink.simulator.in_memory import LATENCY_NS, SimulatedRoverPlant
-from plant.backend import Command, Said
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot.frames import datum_of
+from handfast.bridges.mavlink.bridge.backend import BRAKE_NS_MAX, session
+from handfast.bridges.mavlink.simulator.in_memory import LATENCY_NS, SimulatedRoverPlant
+from handfast.plant.backend import Command, Said
 from tests.rover_scene import MASS, START_NS, Scene, rovers
 
 GO = Command(MASS * 0.3, 0.0)

@@ -6,10 +6,10 @@ from math import cos, inf, nan, pi, radians, sin
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.control.hand import Pose
-from bridges.mavlink.ardupilot.dynamics import DEFAULTS, RoverDynamics
-from bridges.mavlink.bridge.estimate import JUMP_M, STALE_S, Estimate, Prediction
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.control.hand import Pose
+from handfast.bridges.mavlink.ardupilot.dynamics import DEFAULTS, RoverDynamics
+from handfast.bridges.mavlink.bridge.estimate import JUMP_M, STALE_S, Estimate, Prediction
 
 MS = 1_000_000
 T0 = 1_700_000_000 * NS_PER_S

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.bridge.failsafe import TOGETHER_NS, OwnFailsafe
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.bridge.failsafe import TOGETHER_NS, OwnFailsafe
 
 HOLD, MANUAL = "mode HOLD, not GUIDED", "mode MANUAL, not GUIDED"
 T0 = 1000 * NS_PER_S

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.transport.port_diagnosis import TO_DO
-from plant.backend import Check
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.transport.port_diagnosis import TO_DO
+from handfast.plant.backend import Check
 from tests.rover_scene import Scene, heartbeat
 from tests.unit.bridges.mavlink.looked import Looked
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants, frames
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants, frames
 from tests.unit.bridges.mavlink.looked import Looked
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.bridge.backend import JUDGED_NS
-from bridges.mavlink.bridge.navigation_checks import REPORTED_NS
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.bridge.backend import JUDGED_NS
+from handfast.bridges.mavlink.bridge.navigation_checks import REPORTED_NS
 from tests.rover_scene import Scene
 
 

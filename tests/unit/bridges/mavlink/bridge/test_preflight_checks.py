@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.bridge.preflight_checks import CHECKS, FIRST
-from plant.backend import WAITING
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.bridge.preflight_checks import CHECKS, FIRST
+from handfast.plant.backend import WAITING
 from tests.rover_scene import Scene
 from tests.unit.bridges.mavlink.looked import SAFE, Looked
 
@@ -60,7 +60,7 @@ def test_nothing_is_well_before_it_was_looked_at(boot: str) -> None:
 def test_a_check_that_says_nothing_waits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     looked = Looked()
     silent = tuple((each, check if each != name else lambda _: ()) for each, check in CHECKS)
-    monkeypatch.setattr("bridges.mavlink.bridge.preflight_checks.CHECKS", silent)
+    monkeypatch.setattr("handfast.bridges.mavlink.bridge.preflight_checks.CHECKS", silent)
     assert (looked.line(name).level, looked.line(name).found) == ("blocking", f"waiting for its {name}")
 
 

@@ -7,10 +7,10 @@ from math import inf, nan
 
 import pytest
 
-from agent.control.hand import Pose
-from bridges.mavlink.ardupilot.dynamics import Limits
-from bridges.mavlink.bridge.estimate import Residual
-from bridges.mavlink.bridge.setpoint import (
+from handfast.agent.control.hand import Pose
+from handfast.bridges.mavlink.ardupilot.dynamics import Limits
+from handfast.bridges.mavlink.bridge.estimate import Residual
+from handfast.bridges.mavlink.bridge.setpoint import (
     DISAGREES_S,
     LEAD_SPEED_S,
     LEAD_YAW_S,
@@ -22,7 +22,7 @@ from bridges.mavlink.bridge.setpoint import (
     MotionCheck,
     Setpoint,
 )
-from plant.backend import Command
+from handfast.plant.backend import Command
 
 MASS, INERTIA, DT = 20.0, 2.0, 0.04
 REST = Pose(0.0, 0.0, 0.0, 0.0, 0.0)

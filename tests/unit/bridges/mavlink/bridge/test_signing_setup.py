@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from agent.fleet.mavlink_section import MavlinkSection
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.bridge.signing_setup import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.bridge.signing_setup import (
     CONFIRM_NS,
     GIVE_MAX,
     PERIOD_NS,
@@ -22,9 +22,9 @@ from bridges.mavlink.bridge.signing_setup import (
     SigningSetup,
     give_keys,
 )
-from bridges.mavlink.session.settings import session_settings
-from bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
-from bridges.mavlink.simulator.settings import settings_of
+from handfast.bridges.mavlink.session.settings import session_settings
+from handfast.bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
+from handfast.bridges.mavlink.simulator.settings import settings_of
 from tests.rover_scene import START_NS, Bridge, Scene, World, heartbeat, rovers
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))

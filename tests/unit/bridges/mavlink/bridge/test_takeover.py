@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import pytest
 
-from bridges.mavlink.ardupilot.constants import MODE_GUIDED, MODE_HOLD, MODE_MANUAL
-from bridges.mavlink.bridge.authority import Holder
-from bridges.mavlink.bridge.takeover import PERIOD_NS, Takeover
-from bridges.mavlink.session.session import Session
+from handfast.bridges.mavlink.ardupilot.constants import MODE_GUIDED, MODE_HOLD, MODE_MANUAL
+from handfast.bridges.mavlink.bridge.authority import Holder
+from handfast.bridges.mavlink.bridge.takeover import PERIOD_NS, Takeover
+from handfast.bridges.mavlink.session.session import Session
 
 
 class Link:

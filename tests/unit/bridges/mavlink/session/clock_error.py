@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bridges.mavlink.session.boot_clock import BootClock
+from handfast.bridges.mavlink.session.boot_clock import BootClock
 
 
 def error_ns(clock: BootClock) -> int | None:

@@ -6,8 +6,8 @@ from random import Random
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.session.boot_clock import BootClock
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.session.boot_clock import BootClock
 from tests.unit.bridges.mavlink.session.clock_error import error_ns
 
 MS = 1_000_000

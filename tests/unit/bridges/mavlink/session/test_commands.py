@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.commands import ANSWER_TIMEOUT_NS, TRIES, Commands, Outcome
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.session.commands import ANSWER_TIMEOUT_NS, TRIES, Commands, Outcome
 
 MODE, ARM = constants.CMD_DO_SET_MODE, constants.CMD_COMPONENT_ARM_DISARM
 VALUES = (1.0, 15.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.parameters import AUDITED, Parameters, further
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.session.parameters import AUDITED, Parameters, further
 
 MS = NS_PER_S // 1000
 NAMES = ("A", "B", "C", "D", "E", "F")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.participants import HEARD_NS, KEPT, Participant, Participants
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.session.participants import HEARD_NS, KEPT, Participant, Participants
 
 OWN = (1, constants.COMPONENT_ONBOARD_COMPUTER)
 VEHICLE = 1

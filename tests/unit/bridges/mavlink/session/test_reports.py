@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session import reports
-from bridges.mavlink.session.reports import Text, Texts
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session import reports
+from handfast.bridges.mavlink.session.reports import Text, Texts
 
 
 def text(content: str, number: int = 0, chunk: int = 0, severity: int = 6) -> Any:

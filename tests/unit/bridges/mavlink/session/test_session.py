@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session.session import Session, SessionSettings
-from bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session.session import Session, SessionSettings
+from handfast.bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
 from tests.unit.bridges.mavlink.session.clock_error import error_ns
 
 T0 = 1_700_000_000 * NS_PER_S

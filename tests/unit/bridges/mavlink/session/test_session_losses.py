@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session.session import Session, SessionSettings
-from bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
-from bridges.mavlink.simulator.rover import Rover
-from bridges.mavlink.simulator.settings import Settings
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session.session import Session, SessionSettings
+from handfast.bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
+from handfast.bridges.mavlink.simulator.rover import Rover
+from handfast.bridges.mavlink.simulator.settings import Settings
 
 T0 = 1_700_000_000 * NS_PER_S
 HOME = Geodetic(47.3977, 8.5456, 500.0)

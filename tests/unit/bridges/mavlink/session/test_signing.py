@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.private_files import KeyFileError
-from bridges.mavlink.session import signing
-from bridges.mavlink.session.signing import (
+from handfast.agent.security.private_files import KeyFileError
+from handfast.bridges.mavlink.session import signing
+from handfast.bridges.mavlink.session.signing import (
     AHEAD,
     EPOCH_S,
     STEPS_PER_S,

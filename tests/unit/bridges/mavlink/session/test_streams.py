@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.streams import Streams, Wanted, wanted_messages
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.session.streams import Streams, Wanted, wanted_messages
 
 ATTITUDE = Wanted(constants.MESSAGE_ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
 GPS = Wanted(constants.MESSAGE_GPS_RAW_INT, "GPS_RAW_INT", (1.0,))

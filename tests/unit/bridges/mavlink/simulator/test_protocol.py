@@ -7,10 +7,10 @@ from math import nan, pi
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.simulator.settings import Settings, SettingsError, parse_home, parse_parameter
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.simulator.settings import Settings, SettingsError, parse_home, parse_parameter
 from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, START_NS, Bench, ready
 
 # Parameters

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.simulator.routing import PRIVATE, ROUTES_MAX, Routes
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.simulator.routing import PRIVATE, ROUTES_MAX, Routes
 
 COMMAND = 76
 """COMMAND_LONG: a message as any other."""

@@ -8,11 +8,11 @@ from statistics import mean
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.random_streams import bits, stream
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.simulator.rover import Rover
-from bridges.mavlink.simulator.settings import Settings
+from handfast.agent.common.random_streams import bits, stream
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.simulator.rover import Rover
+from handfast.bridges.mavlink.simulator.settings import Settings
 from tests.unit.bridges.mavlink.rover_bench import (
     ACCEPTED,
     ATTITUDE_MASK_THRUST_AND_YAW_RATE,

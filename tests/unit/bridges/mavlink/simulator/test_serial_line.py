@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import serial
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.simulator.serial_line import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.simulator.serial_line import (
     RECEIVE_ROOM,
     SEND_ROOM,
     SerialEndpoint,
@@ -21,9 +21,9 @@ from bridges.mavlink.simulator.serial_line import (
     parse_serial,
     speed_of,
 )
-from bridges.mavlink.simulator.settings import SettingsError
-from bridges.mavlink.simulator.sockets import open_lines, readable
-from bridges.mavlink.simulator.uart import misread
+from handfast.bridges.mavlink.simulator.settings import SettingsError
+from handfast.bridges.mavlink.simulator.sockets import open_lines, readable
+from handfast.bridges.mavlink.simulator.uart import misread
 
 TIOCGEXCL = 0x80045440
 NOW_NS = 1_800_000_000 * NS_PER_S

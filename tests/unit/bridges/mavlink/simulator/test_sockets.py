@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.simulator.__main__ import serve
-from bridges.mavlink.simulator.rover import Rover, Settings
-from bridges.mavlink.simulator.settings import SettingsError
-from bridges.mavlink.simulator.sockets import (
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.simulator.__main__ import serve
+from handfast.bridges.mavlink.simulator.rover import Rover, Settings
+from handfast.bridges.mavlink.simulator.settings import SettingsError
+from handfast.bridges.mavlink.simulator.sockets import (
     DATAGRAM_BYTES,
     Endpoint,
     TcpLine,

@@ -9,9 +9,9 @@ from statistics import mean
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_local
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_local
 from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, DENIED, FAILED, HOME, START_NS, Bench, ready
 
 # Streams

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.simulator.uart import HANDED_ON_NS, Wire, misread
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.simulator.uart import HANDED_ON_NS, Wire, misread
 
 NOW_NS = 1_800_000_000 * NS_PER_S
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.simulator.navigation import Variances
+from handfast.bridges.mavlink.ardupilot import constants
+from handfast.bridges.mavlink.simulator.navigation import Variances
 from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, DENIED, FAILED, Bench, ready
 
 # Modes and arming

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from bridges.mavlink.transport.connection_string import Connection, parse_connection
+from handfast.bridges.mavlink.transport.connection_string import Connection, parse_connection
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,15 @@ from typing import Any
 
 import pytest
 
-from bridges.mavlink.transport import port_diagnosis
-from bridges.mavlink.transport.connection_string import Unusable
-from bridges.mavlink.transport.port_diagnosis import Finding, before_opening, console_note, forbidden, refused
+from handfast.bridges.mavlink.transport import port_diagnosis
+from handfast.bridges.mavlink.transport.connection_string import Unusable
+from handfast.bridges.mavlink.transport.port_diagnosis import (
+    Finding,
+    before_opening,
+    console_note,
+    forbidden,
+    refused,
+)
 
 PORT = "/dev/ttyUSB0"
 BY_ID = "/dev/serial/by-id/usb-Pixhawk"

@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.simulator.uart import misread
-from bridges.mavlink.transport import port_diagnosis
-from bridges.mavlink.transport import transport as transport_module
-from bridges.mavlink.transport.connection_string import Unusable, parse_connection
-from bridges.mavlink.transport.serial_channel import Serial
-from bridges.mavlink.transport.transport import Timing, Transport, open_transport
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.simulator.uart import misread
+from handfast.bridges.mavlink.transport import port_diagnosis
+from handfast.bridges.mavlink.transport import transport as transport_module
+from handfast.bridges.mavlink.transport.connection_string import Unusable, parse_connection
+from handfast.bridges.mavlink.transport.serial_channel import Serial
+from handfast.bridges.mavlink.transport.transport import Timing, Transport, open_transport
 
 TIMING = Timing(retry_s=0.005, retry_max_s=0.02)
 BEAT = mavlink.MAVLink_heartbeat_message(10, 3, 81, 4, 4, 3).pack(mavlink.MAVLink(None, 1, 1))

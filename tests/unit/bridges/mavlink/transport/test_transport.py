@@ -17,13 +17,13 @@ from typing import Any
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from bridges.mavlink.transport import channels, lock
-from bridges.mavlink.transport import transport as transport_module
-from bridges.mavlink.transport.channels import PEER_NS, Tcp, UdpIn, UdpOut
-from bridges.mavlink.transport.connection_string import parse_connection
-from bridges.mavlink.transport.lock import ConnectionLock, InUse
-from bridges.mavlink.transport.transport import Timing, Transport, open_transport
+from handfast.agent.common.time import NS_PER_S
+from handfast.bridges.mavlink.transport import channels, lock
+from handfast.bridges.mavlink.transport import transport as transport_module
+from handfast.bridges.mavlink.transport.channels import PEER_NS, Tcp, UdpIn, UdpOut
+from handfast.bridges.mavlink.transport.connection_string import parse_connection
+from handfast.bridges.mavlink.transport.lock import ConnectionLock, InUse
+from handfast.bridges.mavlink.transport.transport import Timing, Transport, open_transport
 
 LOCALHOST = "127.0.0.1"
 TIMING = Timing(retry_s=0.005, retry_max_s=0.02)
@@ -440,8 +440,8 @@ def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
         "import os\n"
         "import tempfile\n"
         f"tempfile.tempdir = {str(tmp_path)!r}\n"
-        "from bridges.mavlink.transport.connection_string import parse_connection\n"
-        "from bridges.mavlink.transport.lock import ConnectionLock\n"
+        "from handfast.bridges.mavlink.transport.connection_string import parse_connection\n"
+        "from handfast.bridges.mavlink.transport.lock import ConnectionLock\n"
         "ConnectionLock(parse_connection('udpin:0.0.0.0:14550'))\n"
         "os.kill(os.getpid(), 9)\n"
     )

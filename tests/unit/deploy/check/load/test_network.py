@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
-from deploy.check.load.network import check_network, describe_links, describe_topology, load_of
-from deploy.console.data_files import FLEETS
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.check.load.network import check_network, describe_links, describe_topology, load_of
+from handfast.deploy.console.data_files import FLEETS
 
 
 def delta(*sets: str) -> Fleet:

@@ -6,15 +6,15 @@ from collections import Counter
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import load_fleet
-from agent.formation.geometry import resolve, resolved
-from agent.messages import key_expressions
-from deploy.check.description import describe
-from deploy.check.load.network import beacon_hz, listeners, neighbours
-from deploy.check.load.radio import hand_bytes, radio_loads
-from deploy.console.data_files import FLEETS
-from deploy.simulate.simulation import Simulation
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.messages import key_expressions
+from handfast.deploy.check.description import describe
+from handfast.deploy.check.load.network import beacon_hz, listeners, neighbours
+from handfast.deploy.check.load.radio import hand_bytes, radio_loads
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.simulate.simulation import Simulation
 
 
 def test_description_names_the_busiest_radio() -> None:

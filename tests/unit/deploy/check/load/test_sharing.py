@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from deploy.analysis.lattice import lattice as grid
-from deploy.check.load.sharing import sharing
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.deploy.analysis.lattice import lattice as grid
+from handfast.deploy.check.load.sharing import sharing
 
 
 def lattice(n: int, rate_hz: float, *overrides: str) -> Fleet:

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.certificates import DAY_S
-from agent.security.credentials import authority_of, load
-from agent.security.identity import of_operator, of_robot
-from deploy.commands.hosts import keys as keys_command
-from deploy.console.arguments import InputError
-from deploy.console.passphrase import PASSPHRASE
-from deploy.hosts import at_rest
-from deploy.inventory import authority_backup
-from deploy.inventory.authority_backup import BACKUP_BYTES_MAX
-from deploy.inventory.operator_credentials import KEYS, OPERATOR, earlier_folders, keys_folder, short
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.credentials import authority_of, load
+from handfast.agent.security.identity import of_operator, of_robot
+from handfast.deploy.commands.hosts import keys as keys_command
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.console.passphrase import PASSPHRASE
+from handfast.deploy.hosts import at_rest
+from handfast.deploy.inventory import authority_backup
+from handfast.deploy.inventory.authority_backup import BACKUP_BYTES_MAX
+from handfast.deploy.inventory.operator_credentials import KEYS, OPERATOR, earlier_folders, keys_folder, short
 
 Run = Callable[..., str]
 FLEET = "delta"

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from agent.fleet.model import Fleet
-from agent.security.credentials import RENEW_DAYS, authority_of, load, make_request
-from agent.security.identity import of_operator, of_robot, of_router
-from deploy.commands.hosts import keys as keys_command
-from deploy.console.arguments import InputError
-from deploy.hosts import at_rest
-from deploy.hosts.at_rest import Rest
-from deploy.inventory.certificate_authority import Authority
-from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
-from deploy.inventory.operator_credentials import keys_folder
+from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.credentials import RENEW_DAYS, authority_of, load, make_request
+from handfast.agent.security.identity import of_operator, of_robot, of_router
+from handfast.deploy.commands.hosts import keys as keys_command
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.hosts import at_rest
+from handfast.deploy.hosts.at_rest import Rest
+from handfast.deploy.inventory.certificate_authority import Authority
+from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from handfast.deploy.inventory.operator_credentials import keys_folder
 from tests.unit.deploy.orders.order_fleets import square
 
 Run = Callable[..., list[str]]

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.loading import to_dict
-from deploy.cli import main
-from deploy.console.data_files import FLEETS
-from deploy.inventory import fleets_up, registry
-from deploy.inventory.registry import Registration
+from handfast.agent.fleet.loading import to_dict
+from handfast.deploy.cli import main
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.inventory import fleets_up, registry
+from handfast.deploy.inventory.registry import Registration
 from tests.unit.agent.fleet.test_hosts import fleet
 from tests.unit.deploy.test_cli import without_the_operators_packages
 
@@ -94,7 +94,7 @@ def test_a_host_on_which_up_did_not_end(tmp_path: Path, capsys: pytest.CaptureFi
 def test_one_that_is_paused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("deploy.processes.table.state_of", lambda pid: {PID: "paused"}[pid])
+    monkeypatch.setattr("handfast.deploy.processes.table.state_of", lambda pid: {PID: "paused"}[pid])
     with a_run(tmp_path, "pair"):
         assert "running (PAUSED: `fg` there)" in listed(capsys)
 

@@ -17,15 +17,15 @@ from typing import Any, cast
 import pytest
 import tomli_w
 
-from agent.fleet.loading import to_dict
-from deploy.cli import main
-from deploy.commands.hosts import logs as logs_command
-from deploy.commands.hosts.logs import Line, Reader
-from deploy.console.arguments import InputError, no_changes
-from deploy.console.data_files import FLEETS
-from deploy.console.interrupt import Interrupt
-from deploy.inventory import registry, ssh
-from deploy.inventory.registry import Registration
+from handfast.agent.fleet.loading import to_dict
+from handfast.deploy.cli import main
+from handfast.deploy.commands.hosts import logs as logs_command
+from handfast.deploy.commands.hosts.logs import Line, Reader
+from handfast.deploy.console.arguments import InputError, no_changes
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.inventory import registry, ssh
+from handfast.deploy.inventory.registry import Registration
 from tests.unit.agent.fleet.test_hosts import HOSTS, ROUTERS, fleet
 
 

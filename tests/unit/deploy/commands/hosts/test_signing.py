@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bridges.mavlink.session.signing import load_key
-from deploy.cli import main
-from deploy.commands.hosts.signing import prepare_keys
+from handfast.bridges.mavlink.session.signing import load_key
+from handfast.deploy.cli import main
+from handfast.deploy.commands.hosts.signing import prepare_keys
 from tests.rover_scene import rovers
 
 Run = Callable[..., tuple[int, str, str]]

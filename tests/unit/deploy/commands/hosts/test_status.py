@@ -12,17 +12,17 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet.loading import to_dict
-from agent.security.certificates import DAY_S
-from agent.security.identity import of_operator
-from deploy.cli import main
-from deploy.commands.hosts import down, status
-from deploy.console.arguments import no_changes
-from deploy.console.data_files import FLEETS
-from deploy.inventory import registry
-from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
-from deploy.inventory.registry import Registration
-from deploy.processes.table import PAUSED, RUNS, ProcessState
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.identity import of_operator
+from handfast.deploy.cli import main
+from handfast.deploy.commands.hosts import down, status
+from handfast.deploy.console.arguments import no_changes
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.inventory import registry
+from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.registry import Registration
+from handfast.deploy.processes.table import PAUSED, RUNS, ProcessState
 from tests.trusted import authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
@@ -96,7 +96,7 @@ def test_down_goes_on_over_ssh_where_it_may_not_stop(
             asked.append((what, about))
             return {"stopped": ["a", "b"], "left": []}
 
-    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", Connection)
+    monkeypatch.setattr("handfast.deploy.hosts.jobs.HostConnection", Connection)
     assert down._down(options(secured)) == 0
     assert asked == [("down", {"fleet": "two"})]
     err = capsys.readouterr().err
@@ -124,7 +124,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (1, "plant"): ProcessState(8, PAUSED, 20.0, 1.0, 50_000_000),
         (2, "agent"): ProcessState(9, RUNS, 20.0, 1.0, 50_000_000),
     }
-    monkeypatch.setattr("deploy.hosts.this_machine.fleet_processes", lambda fleet, file: table)
+    monkeypatch.setattr("handfast.deploy.hosts.this_machine.fleet_processes", lambda fleet, file: table)
     return folder
 
 
@@ -166,7 +166,7 @@ def test_a_fleet_that_runs_here_has_no_hosts(run: Path, capsys: pytest.CaptureFi
 def test_where_nothing_is_there_it_says_so(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("deploy.hosts.this_machine.fleet_processes", lambda fleet, file: {})
+    monkeypatch.setattr("handfast.deploy.hosts.this_machine.fleet_processes", lambda fleet, file: {})
     assert main(["status", str(run / "fleet.toml")]) == 1
     assert capsys.readouterr().err.startswith("handfast: fleet pair-here does not answer: none of its 4 ")
     assert main(["status", "pair-here"]) == 2

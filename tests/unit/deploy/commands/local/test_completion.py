@@ -12,11 +12,11 @@ from typing import Final
 
 import pytest
 
-from agent.fleet.sections import LAWS
-from deploy.cli import COMMANDS, _parser, main
-from deploy.commands.local.completion import SHELLS, script
-from deploy.console.data_files import FLEETS, SCENARIOS, bundled
-from deploy.report.export import FORMATS
+from handfast.agent.fleet.sections import LAWS
+from handfast.deploy.cli import COMMANDS, _parser, main
+from handfast.deploy.commands.local.completion import SHELLS, script
+from handfast.deploy.console.data_files import FLEETS, SCENARIOS, bundled
+from handfast.deploy.report.export import FORMATS
 
 ASK: Final = """
 source "$0"

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.exit import BAD_INPUT, INTERRUPTED, PASSED
-from agent.messages.codec import encode
-from deploy.cli import main
-from deploy.inventory.registry import Registration
-from deploy.report import figures
-from deploy.report.run_folder import RunFolder
+from handfast.agent.common.exit import BAD_INPUT, INTERRUPTED, PASSED
+from handfast.agent.messages.codec import encode
+from handfast.deploy.cli import main
+from handfast.deploy.inventory.registry import Registration
+from handfast.deploy.report import figures
+from handfast.deploy.report.run_folder import RunFolder
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages
 
 PAIR = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)])

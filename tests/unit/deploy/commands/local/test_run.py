@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cli import main
+from handfast.deploy.cli import main
 
 
 def test_a_link_that_this_machine_has_once_is_refused_with_what_to_do(
@@ -27,7 +27,7 @@ def test_one_that_leads_to_many_is_not(tmp_path: Path, monkeypatch: pytest.Monke
     def placed(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("deploy.processes.placement.place", placed)
+    monkeypatch.setattr("handfast.deploy.processes.placement.place", placed)
     for connection in ("simulator", "tcp:10.0.0.1:5760"):
         assert (
             main(["run", "rovers_on_hosts", "--set", f"robot_defaults.mavlink.connection={connection}"])

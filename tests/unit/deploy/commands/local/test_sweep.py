@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
+from handfast.deploy import cli
 from tests.passing_law import PassingLaw
 
 

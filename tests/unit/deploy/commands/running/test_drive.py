@@ -10,18 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.runtime_folder import NotPrivateError
-from agent.security.certificates import DAY_S
-from agent.security.identity import of_operator, of_robot
-from agent.transport.bus import BusError
-from deploy.cli import main
-from deploy.console.arguments import InputError
-from deploy.console.data_files import FLEETS
-from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
-from deploy.inventory.operator_credentials import KEYS
-from deploy.processes.ports import Reservation
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recorder import RecordingError
+from handfast.agent.runtime.runtime_folder import NotPrivateError
+from handfast.agent.security.certificates import DAY_S
+from handfast.agent.security.identity import of_operator, of_robot
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.cli import main
+from handfast.deploy.console.arguments import InputError
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.operator_credentials import KEYS
+from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recorder import RecordingError
 from tests.process.fleet_harness import BASE_PORT
 from tests.trusted import authority, credentials
 
@@ -125,9 +125,9 @@ class Drives:
 def drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A fleet that is up and lets itself be driven; its folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deploy.drive.attached.refused", lambda *_, **__: "")
-    monkeypatch.setattr("deploy.session.operator_bus.operator_bus", lambda _: nullcontext())
-    monkeypatch.setattr("deploy.drive.drive.Drive", Drives)
+    monkeypatch.setattr("handfast.deploy.drive.attached.refused", lambda *_, **__: "")
+    monkeypatch.setattr("handfast.deploy.session.operator_bus.operator_bus", lambda _: nullcontext())
+    monkeypatch.setattr("handfast.deploy.drive.drive.Drive", Drives)
     return tmp_path
 
 
@@ -166,9 +166,9 @@ def test_a_drive_that_cannot_begin_leaves_a_complete_recording(
         raise error
 
     place = (
-        "deploy.session.operator_bus.operator_bus"
+        "handfast.deploy.session.operator_bus.operator_bus"
         if type(error) is InputError
-        else "deploy.inventory.registry.Registration"
+        else "handfast.deploy.inventory.registry.Registration"
     )
     monkeypatch.setattr(place, fails)
     assert refused(capsys, "pair", "--out", "out", "--quiet").startswith(says)
@@ -205,7 +205,7 @@ def test_certificates_that_end_soon_are_warned_of_before_it_begins(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(KEYS, str(tmp_path / "keys"))
-    monkeypatch.setattr("deploy.session.session.CONNECT_S", 0.1)
+    monkeypatch.setattr("handfast.deploy.session.session.CONNECT_S", 0.1)
     made_s = time.time() - (CERTIFICATE_DAYS - 19.5) * DAY_S
     with authority(tmp_path / "keys", made_s, "pair") as by:
         credentials(by, tmp_path / "keys", of_operator("pair"), now_s=made_s)

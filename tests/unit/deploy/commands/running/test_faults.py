@@ -9,21 +9,21 @@ from math import inf
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.fault_rules import Rule
-from agent.fleet.loading import load_fleet
-from agent.fleet.scenario import parse_scenario
-from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
-from agent.links.ingress import Ingress
-from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
-from agent.messages.types import Faults
-from deploy.commands.running.faults import add_arguments
-from deploy.console.data_files import FLEETS
-from deploy.faults.live import Held, Receiver, receivers, shown
-from deploy.faults.live_rules import LiveRulesError, rule_of_options, rules_of_scenario, text_of
-from deploy.faults.wording import end_of, lasts, next_begin, window, words
-from deploy.session.fault_injection import NothingToClearError, Putting, clear, names
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.fault_rules import Rule
+from handfast.agent.fleet.loading import load_fleet
+from handfast.agent.fleet.scenario import parse_scenario
+from handfast.agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
+from handfast.agent.links.ingress import Ingress
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.types import Faults
+from handfast.deploy.commands.running.faults import add_arguments
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.faults.live import Held, Receiver, receivers, shown
+from handfast.deploy.faults.live_rules import LiveRulesError, rule_of_options, rules_of_scenario, text_of
+from handfast.deploy.faults.wording import end_of, lasts, next_begin, window, words
+from handfast.deploy.session.fault_injection import NothingToClearError, Putting, clear, names
 
 FLEET = load_fleet(FLEETS / "pair.toml")
 IDS = (1, 2, 3)

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.transport.bus import BusError
-from deploy.cli import main
-from deploy.console.data_files import FLEETS
-from deploy.inventory import registry
-from deploy.inventory.registry import Registration
-from deploy.inventory.running import NoAnswerError
-from deploy.session.stop import Way
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.transport.bus import BusError
+from handfast.deploy.cli import main
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.inventory import registry
+from handfast.deploy.inventory.registry import Registration
+from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.session.stop import Way
 
 
 class Stopping:
@@ -66,7 +66,7 @@ def fleets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fleets:
     monkeypatch.setattr(registry, "private_folder", lambda: tmp_path / "private")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     found = Fleets(tmp_path)
-    monkeypatch.setattr("deploy.session.stop.stop", found.stop)
+    monkeypatch.setattr("handfast.deploy.session.stop.stop", found.stop)
     return found
 
 
@@ -149,6 +149,6 @@ def test_cut_short_it_says_that_robots_may_drive_on(
         raise KeyboardInterrupt
 
     with fleets.run("pair", "a", Stopping(done=True)):
-        monkeypatch.setattr("deploy.session.stop.stop", cut)
+        monkeypatch.setattr("handfast.deploy.session.stop.stop", cut)
         assert main(["stop", "pair"]) == 130
     assert "interrupted: robots may drive on" in capsys.readouterr().err

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from agent.fleet.loading import parse_fleet
-from agent.runtime import runtime_folder
-from agent.security.private_files import private_directory
-from deploy.commands.running.ways import by_ssh, ways
-from deploy.processes.placement import orders_folder
-from deploy.session.stop import Way
+from handfast.agent.fleet.loading import parse_fleet
+from handfast.agent.runtime import runtime_folder
+from handfast.agent.security.private_files import private_directory
+from handfast.deploy.commands.running.ways import by_ssh, ways
+from handfast.deploy.processes.placement import orders_folder
+from handfast.deploy.session.stop import Way
 from tests.unit.deploy.inventory.test_own_orders import HOSTS
 from tests.unit.deploy.orders.order_fleets import square
 

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from deploy.drive.display.fleet_table import COLUMNS, table
-from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line
-from deploy.drive.watch import RobotPicture
+from handfast.deploy.drive.display.fleet_table import COLUMNS, table
+from handfast.deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line
+from handfast.deploy.drive.watch import RobotPicture
 
 HEADINGS = [column.heading for column in COLUMNS]
 FIRST = ["robot", "state", "off m", "nearest m", "m/s", "battery", "why"]

@@ -7,17 +7,17 @@ from contextlib import suppress
 
 import pytest
 
-from agent.common.time import NS_PER_S
-from agent.fleet.loading import digest, parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.messages import key_expressions
-from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
-from deploy.analysis.silent_bodies import SilentBody
-from deploy.console.data_files import FLEETS
-from deploy.drive.display.live_view import Lines, make_view
-from deploy.drive.display.picture_wording import faults_line, summary
-from deploy.drive.watch import Picture, RobotPicture, Watch
+from handfast.agent.common.time import NS_PER_S
+from handfast.agent.fleet.loading import digest, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
+from handfast.deploy.analysis.silent_bodies import SilentBody
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.drive.display.live_view import Lines, make_view
+from handfast.deploy.drive.display.picture_wording import faults_line, summary
+from handfast.deploy.drive.watch import Picture, RobotPicture, Watch
 from tests.screen import screen_lines
 
 EPOCH_NS = 1_800_000_000 * NS_PER_S

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.drive.display.picture_wording import FAULTS_MAX, clock_words, faults_line, packed, summary
-from deploy.drive.watch import Picture, RobotPicture
+from handfast.deploy.drive.display.picture_wording import (
+    FAULTS_MAX,
+    clock_words,
+    faults_line,
+    packed,
+    summary,
+)
+from handfast.deploy.drive.watch import Picture, RobotPicture
 
 
 def about(state: str, reason: str = "", clock: tuple[int, float] | None = None) -> RobotPicture:

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from deploy.console.data_files import ROBOT_REQUIREMENTS, WORKER_REQUIREMENTS
-from deploy.hosts.artifacts import bundle
-from deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
+from handfast.deploy.console.data_files import ROBOT_REQUIREMENTS, WORKER_REQUIREMENTS
+from handfast.deploy.hosts.artifacts import bundle
+from handfast.deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
 
 PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
 

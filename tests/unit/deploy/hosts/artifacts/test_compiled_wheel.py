@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.hosts.artifacts import bundle, compiled_wheel
-from deploy.hosts.artifacts.bundle import Platform, bundle_for
-from deploy.hosts.artifacts.compiled_wheel import compiled_modules, runs_here, suffix, wheel
+from handfast.deploy.hosts.artifacts import bundle, compiled_wheel
+from handfast.deploy.hosts.artifacts.bundle import Platform, bundle_for
+from handfast.deploy.hosts.artifacts.compiled_wheel import compiled_modules, runs_here, suffix, wheel
 
 HERE = sys.version_info[:2], platform.machine(), platform.libc_ver()
 MODULES = {f"0f__mypyc{suffix()}": b"shared", f"agent/core{suffix()}": b"core"}

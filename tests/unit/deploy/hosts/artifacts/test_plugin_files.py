@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from agent.common import plugins
-from agent.fleet.loading import load_fleet
-from deploy.console.data_files import FLEETS
-from deploy.hosts import remote_program
-from deploy.hosts.artifacts import plugin_files as module
-from deploy.hosts.artifacts.bundle import PLUGINS, program_archive
-from deploy.hosts.artifacts.plugin_files import PluginFilesError, plugin_files, plugin_modules
-from plant.backend import Plant
+from handfast.agent.common import plugins
+from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.hosts import remote_program
+from handfast.deploy.hosts.artifacts import plugin_files as module
+from handfast.deploy.hosts.artifacts.bundle import PLUGINS, program_archive
+from handfast.deploy.hosts.artifacts.plugin_files import PluginFilesError, plugin_files, plugin_modules
+from handfast.plant.backend import Plant
 
 PLANT = "from handfast import Plant\n\n\nclass Mine(Plant):\n    pass\n"
 
@@ -76,7 +76,7 @@ def test_the_archive_changes_with_them_and_is_as_ever_without(site: Path) -> Non
         assert archive.read(PLUGINS) == b"my_module"
     assert PLUGINS not in zipfile.ZipFile(BytesIO(plain)).namelist()
     assert program_archive(("my_module",)) == one != plain
-    assert program_archive(("agent.control.law_plugin",)) == plain, "what is there anyway"
+    assert program_archive(("handfast.agent.control.law_plugin",)) == plain, "what is there anyway"
     (site / "my_module.py").write_text(PLANT + "\n")
     assert program_archive(("my_module",)) != one
     assert PLUGINS == remote_program.PLUGINS

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.fleet.process_section import ProcessSection
-from agent.messages.key_expressions import ROLES
-from deploy.hosts import remote_program
-from deploy.hosts.artifacts import sandboxing
-from deploy.hosts.artifacts.sandboxing import Needs, filters, namespaces
-from deploy.hosts.artifacts.systemd_units import Places, roles, unit
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.messages.key_expressions import ROLES
+from handfast.deploy.hosts import remote_program
+from handfast.deploy.hosts.artifacts import sandboxing
+from handfast.deploy.hosts.artifacts.sandboxing import Needs, filters, namespaces
+from handfast.deploy.hosts.artifacts.systemd_units import Places, roles, unit
 from tests.unit.deploy.hosts.artifacts.test_systemd_units import fleet, settings
 
 SECURED = Places("/r/versions/1", "/r/two.toml", "/r/keys", "/r/recordings", "/r/state", "/r/orders")

@@ -9,13 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.loading import load_fleet, parse_fleet
-from agent.fleet.model import Fleet
-from agent.security.credentials import Files
-from agent.security.identity import of_robot
-from deploy.console.data_files import FLEETS
-from deploy.hosts.artifacts import systemd_units
-from deploy.hosts.artifacts.systemd_units import Places, arguments, roles, router_units, unit, unit_name
+from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.security.credentials import Files
+from handfast.agent.security.identity import of_robot
+from handfast.deploy.console.data_files import FLEETS
+from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts.artifacts.systemd_units import (
+    Places,
+    arguments,
+    roles,
+    router_units,
+    unit,
+    unit_name,
+)
 from tests.unit.agent.fleet.test_hosts import FLEET, HOSTS, LEFT, RIGHT, ROUTERS
 
 PLACES = Places(
@@ -43,7 +50,7 @@ def test_each_process_is_started_for_its_robot_from_the_installed_version():
         arguments(fleet(), robot, role, PLACES)
         for robot, role in ((1, "agent"), (1, "plant"), (2, "plant"), (1, "recorder"))
     )
-    for words, module in ((agent, "agent"), (plant, "plant"), (bridge, "bridges.mavlink")):
+    for words, module in ((agent, "agent"), (plant, "plant"), (bridge, "handfast.bridges.mavlink")):
         assert words[:4] == ["/r/versions/1/bin/python", "-P", "-m", module]
     assert agent[4:8] == ["--fleet", "/r/fleets/two/fleet.toml", "--robot", "1"]
     assert agent[8:] == plant[8:10] == bridge[8:] == ["--orders", "/r/fleets/two/orders"]
@@ -62,7 +69,7 @@ def test_a_router_is_started_with_its_own_key() -> None:
     assert name == "handfast-two-router.service"
     said = settings(text)
     assert said["ExecStart"] == (
-        "/r/versions/1/bin/python -P -m agent.runtime.router --fleet /r/fleets/two/fleet.toml --number 1 "
+        "/r/versions/1/bin/python -P -m handfast.agent.runtime.router --fleet /r/fleets/two/fleet.toml --number 1 "
         "--keys /r/fleets/two/keys"
     )
     assert '# reads: ["/r/fleets/two/keys/two.router.1.crt"]' in text
@@ -110,7 +117,7 @@ def test_a_unit_starts_its_process_again_but_not_one_that_was_given_nonsense():
 )
 def test_paths_are_written_so_that_systemd_reads_them_as_they_are(folder: str, shown: str):
     text = unit(fleet(), 1, "agent", Places(folder, "/f", None, "/r", "/s", "/o"))
-    assert settings(text)["ExecStart"].startswith(f"{shown} -P -m agent")
+    assert settings(text)["ExecStart"].startswith(f"{shown} -P -m handfast.agent")
 
 
 def test_a_bridge_starts_whether_its_serial_port_is_there_or_not() -> None:

@@ -6,9 +6,9 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from agent.messages.types import Message
-from deploy.recording.foxglove.channels import Channels
-from deploy.recording.foxglove.schemas import SCHEMAS, TOPICS
+from handfast.agent.messages.types import Message
+from handfast.deploy.recording.foxglove.channels import Channels
+from handfast.deploy.recording.foxglove.schemas import SCHEMAS, TOPICS
 from tests.unit.deploy.synthetic_run import Sent
 
 Shown = dict[str, list[tuple[int, Any]]]

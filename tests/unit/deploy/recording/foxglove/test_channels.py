@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.fleet.safety import GeofenceSection, ObstacleSection
-from agent.messages import key_expressions
-from agent.messages.types import CLASSES, Beacon, Mission, PlantState, Silent, Status
-from deploy.recording.foxglove import schemas
-from deploy.recording.foxglove.channels import PERIOD_NS, Channels
-from deploy.recording.foxglove.schemas import (
+from handfast.agent.fleet.safety import GeofenceSection, ObstacleSection
+from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import CLASSES, Beacon, Mission, PlantState, Silent, Status
+from handfast.deploy.recording.foxglove import schemas
+from handfast.deploy.recording.foxglove.channels import PERIOD_NS, Channels
+from handfast.deploy.recording.foxglove.schemas import (
     DIAGNOSTICS,
     EDGES,
     GROUND,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from agent.messages.types import PlantState, Status
-from agent.supervision.state_machine import State
-from deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
-from deploy.recording.foxglove.diagnostics import ERROR, OK, STALE, WARN, diagnostics, level_of
-from deploy.recording.foxglove.json_text import stamped
+from handfast.agent.messages.types import PlantState, Status
+from handfast.agent.supervision.state_machine import State
+from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
+from handfast.deploy.recording.foxglove.diagnostics import ERROR, OK, STALE, WARN, diagnostics, level_of
+from handfast.deploy.recording.foxglove.json_text import stamped
 
 STATUS = Status(3, 0, 0, "fault", "", "the plant is silent", 7, 0, (), (), (), (("overruns", 4),))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from deploy.recording.foxglove.json_text import STAMP, dumps, stamped, time
+from handfast.deploy.recording.foxglove.json_text import STAMP, dumps, stamped, time
 
 
 def test_a_stamp_becomes_the_time_and_a_text_that_holds_one_stays_as_it_is() -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 
-from agent.messages.types import EVENTS, EVERY_AUTHOR, Event, Faults, Mission, Resume, Status, Stop
-from deploy.faults.process_actions import WORDS
-from deploy.recording.foxglove.json_text import stamped
-from deploy.recording.foxglove.log import _WORDS as OURS
-from deploy.recording.foxglove.log import Log
+from handfast.agent.messages.types import EVENTS, EVERY_AUTHOR, Event, Faults, Mission, Resume, Status, Stop
+from handfast.deploy.faults.process_actions import WORDS
+from handfast.deploy.recording.foxglove.json_text import stamped
+from handfast.deploy.recording.foxglove.log import _WORDS as OURS
+from handfast.deploy.recording.foxglove.log import Log
 
 INFO, WARNING, ERROR = 2, 3, 4
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.formation.mission_plan import plan_of
-from agent.messages.types import HandState, Mission, PlantState
-from deploy.analysis.stability import SETTLED
-from deploy.recording.foxglove import moment as module
-from deploy.recording.foxglove.moment import HOLDS, SILENT_NS, Latest, _distances
+from handfast.agent.formation.mission_plan import plan_of
+from handfast.agent.messages.types import HandState, Mission, PlantState
+from handfast.deploy.analysis.stability import SETTLED
+from handfast.deploy.recording.foxglove import moment as module
+from handfast.deploy.recording.foxglove.moment import HOLDS, SILENT_NS, Latest, _distances
 from tests.unit.deploy.synthetic_run import EPOCH_NS, make_fleet, triangle
 
 FLEET = make_fleet(*triangle(2))

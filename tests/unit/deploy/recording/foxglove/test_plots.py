@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from agent.messages.types import Status
-from deploy.recording.foxglove.moment import Body, Link, Moment
-from deploy.recording.foxglove.plots import plots
+from handfast.agent.messages.types import Status
+from handfast.deploy.recording.foxglove.moment import Body, Link, Moment
+from handfast.deploy.recording.foxglove.plots import plots
 
 BODIES = [Body(robot, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.25, 0, 0) for robot in (1, 2)]
 HANDS = {1: (0.0, 0.0), 2: (1.5, 0.0)}

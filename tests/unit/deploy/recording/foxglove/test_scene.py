@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from deploy.console.data_files import PAGE
-from deploy.recording.foxglove import scene
-from deploy.recording.foxglove.json_text import stamped
-from deploy.recording.foxglove.moment import Body, Link, Moment
+from handfast.deploy.console.data_files import PAGE
+from handfast.deploy.recording.foxglove import scene
+from handfast.deploy.recording.foxglove.json_text import stamped
+from handfast.deploy.recording.foxglove.moment import Body, Link, Moment
 from tests.unit.deploy.synthetic_run import make_fleet, triangle
 
 FLEET = make_fleet(*triangle(2))

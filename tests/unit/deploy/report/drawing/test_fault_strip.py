@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.faults.lanes import Lane
-from deploy.report.drawing.fault_strip import _write
-from deploy.report.drawing.plotting import new_figure
+from handfast.deploy.faults.lanes import Lane
+from handfast.deploy.report.drawing.fault_strip import _write
+from handfast.deploy.report.drawing.plotting import new_figure
 
 
 @pytest.mark.parametrize(("length", "is_whole"), [(98, True), (140, False)])

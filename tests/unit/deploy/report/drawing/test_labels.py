@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.text import Text
 
-from deploy.report.drawing.labels import Boxes, EndLabel, along, apart, beside, label_ends, text_size
-from deploy.report.drawing.plotting import INK, new_figure
+from handfast.deploy.report.drawing.labels import Boxes, EndLabel, along, apart, beside, label_ends, text_size
+from handfast.deploy.report.drawing.plotting import INK, new_figure
 
 NOWHERE = Boxes(np.empty((0, 2)), np.empty((0, 2)))
 wants = st.lists(

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from deploy.report import figures
-from deploy.report.drawing.layout import GridLayout
-from deploy.report.drawing.plotting import new_figure, styled
+from handfast.deploy.report import figures
+from handfast.deploy.report.drawing.layout import GridLayout
+from handfast.deploy.report.drawing.plotting import new_figure, styled
 from tests.unit.deploy.playback.runs import result_of
 from tests.unit.deploy.synthetic_run import make_fleet, triangle
 

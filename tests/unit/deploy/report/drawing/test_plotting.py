@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
-from agent.control.boundaries import Circle, Polygon
-from deploy.report.drawing.plotting import (
+from handfast.agent.control.boundaries import Circle, Polygon
+from handfast.deploy.report.drawing.plotting import (
     Picture,
     body_arrow,
     draw_boundary,

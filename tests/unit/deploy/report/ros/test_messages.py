@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.messages.types import Event, Message, Status, Stop
-from deploy.recording.recording import Recording
-from deploy.report.ros import messages as ros_messages
-from deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Ints, Stream, streams
-from deploy.verdict.run_result import RunResult
+from handfast.agent.messages.types import Event, Message, Status, Stop
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.report.ros import messages as ros_messages
+from handfast.deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Ints, Stream, streams
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import recorded
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,

@@ -15,14 +15,14 @@ from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, 
 from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
 
-from agent.common.errors import MissingPackageError
-from agent.messages.codec import encode
-from agent.messages.types import Mission, PlantState
-from deploy import cli
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.recorder import Recorder, RecordingError
-from deploy.report.export import export
-from deploy.report.ros import rosbag2
+from handfast.agent.common.errors import MissingPackageError
+from handfast.agent.messages.codec import encode
+from handfast.agent.messages.types import Mission, PlantState
+from handfast.deploy import cli
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.report.export import export
+from handfast.deploy.report.ros import rosbag2
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
@@ -283,8 +283,8 @@ def test_times_that_ros_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_without_rosbags_it_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("rosbag2", "messages"):
-        monkeypatch.delitem(sys.modules, f"deploy.report.ros.{name}")
-        monkeypatch.delattr(f"deploy.report.ros.{name}")
+        monkeypatch.delitem(sys.modules, f"handfast.deploy.report.ros.{name}")
+        monkeypatch.delattr(f"handfast.deploy.report.ros.{name}")
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)
     expected = r"^--format rosbag2 needs the package rosbags\S*: .* pip install 'handfast\[operator\]'$"

@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet.loading import to_dict
-from agent.fleet.model import Fleet
-from agent.messages.codec import encode
-from deploy.recording.mcap_reader import read_run
-from deploy.recording.mcap_records import PREFIX
-from deploy.recording.recorder import Recorder
-from deploy.recording.recording import Recording
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.loading import to_dict
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.messages.codec import encode
+from handfast.deploy.recording.mcap_reader import read_run
+from handfast.deploy.recording.mcap_records import PREFIX
+from handfast.deploy.recording.recorder import Recorder
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages
 
 NEAR = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=10.0, rate_hz=50.0)

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
-from agent.messages.types import Event, PlantState
-from deploy.analysis.analysis import analyse
-from deploy.recording.recording import Recording
-from deploy.verdict.gaps.missing_poses import FEW_GAPS, SHARE_MAX, Gap, MissingPoses
-from deploy.verdict.gaps.stakes import Stake
-from deploy.verdict.run_result import RunResult
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages.types import Event, PlantState
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict.gaps.missing_poses import FEW_GAPS, SHARE_MAX, Gap, MissingPoses
+from handfast.deploy.verdict.gaps.stakes import Stake
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Path, in_formation, make_fleet, messages, standing
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.model import Fleet
-from agent.fleet.safety import GeofenceSection, ObstacleSection
-from agent.formation.geometry import resolve
-from agent.messages.types import PlantState, Status
-from deploy.analysis.analysis import analyse
-from deploy.analysis.gaps import pose_gaps
-from deploy.verdict.gaps.stakes import FENCE, Stake, Stakes
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import GeofenceSection, ObstacleSection
+from handfast.agent.formation.geometry import resolve
+from handfast.agent.messages.types import PlantState, Status
+from handfast.deploy.analysis.analysis import analyse
+from handfast.deploy.analysis.gaps import pose_gaps
+from handfast.deploy.verdict.gaps.stakes import FENCE, Stake, Stakes
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, make_fleet, messages, standing
 

@@ -1,1 +1,0 @@
-../handfast.py
