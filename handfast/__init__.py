@@ -12,10 +12,10 @@ where only what drives one is installed.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
-
+TYPE_CHECKING = False  # typing would have to be imported for it; type checkers take the name as it is meant
 if TYPE_CHECKING:
+    from typing import Any, Final
+
     from handfast.agent.common.errors import Error as Error
     from handfast.agent.common.plugins import register as register
     from handfast.agent.common.settings import about as about
@@ -85,10 +85,10 @@ __all__ = sorted(["__version__", *_MODULES])
 
 
 def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from handfast.agent.runtime.version import handfast_version
+    from importlib import import_module
 
-        return handfast_version()
+    if name == "__version__":
+        return import_module("handfast.agent.runtime.version").handfast_version()
     if name not in _MODULES:
         raise AttributeError(f"module 'handfast' has no attribute {name!r}")
     from handfast.agent.common.errors import packages_named

@@ -265,7 +265,7 @@ def blame(error: BaseException, plugin: type[Any] | None = None, signature: str 
 def _imported(reference: str) -> Any:
     module_name, _, class_name = reference.partition(":")
     top = module_name.partition(".")[0]
-    ours = f"{reference}: {top} is the name of a package of handfast: give your module another name"
+    ours = f"{reference}: {top} is the name of this program's package: give your module another name"
 
     def failed(error: BaseException) -> NoReturn:
         missing = (error.name or "") if isinstance(error, ModuleNotFoundError) else ""

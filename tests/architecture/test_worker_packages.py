@@ -15,7 +15,6 @@ from typing import Final
 from handfast.agent.fleet.plants import KINDS
 from handfast.deploy.cluster.identity import LIBRARIES, NEEDED
 from handfast.deploy.console.data_files import WORKER_REQUIREMENTS
-from handfast.deploy.console.sources import PACKAGES
 
 ROOT: Final = Path(__file__).parents[2]
 ROOTS: Final = (
@@ -70,7 +69,7 @@ def reached() -> dict[str, set[str]]:
         seen.add(module)
         for name in imported(file.read_text(encoding="utf-8")):
             top, *rest = name.split(".")
-            if top in PACKAGES:
+            if top == "handfast":
                 left += [".".join((top, *rest[:count])) for count in range(len(rest) + 1)]
             elif top not in sys.stdlib_module_names:
                 found.setdefault(top, set()).add(module)

@@ -224,10 +224,9 @@ def test_killed_hung_and_cut_off_it_comes_back(fleet: FleetOnHosts, tmp_path: Pa
 @pytest.mark.long
 def test_an_upgrade_takes_one_robot_at_a_time_and_the_rest_drive(fleet: FleetOnHosts, tmp_path: Path) -> None:
     newer = tmp_path / "newer"
-    for package in ("agent", "plant", "bridges", "deploy"):
-        shutil.copytree(ROOT / package, newer / package, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "handfast.py", newer)
-    with open(newer / "agent" / "core.py", "a") as stream:
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "handfast", newer / "handfast", ignore=ignored)
+    with open(newer / "handfast" / "agent" / "core.py", "a") as stream:
         stream.write("# another version\n")
     upgraded = FleetOnHosts(fleet.hosts, fleet.folder, tables(list(fleet.hosts)), fleet.cache, newer)
     before = fleet.status()

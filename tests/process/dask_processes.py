@@ -126,9 +126,8 @@ def _registered(log: Path) -> bool:
 
 def changed_copy(folder: Path) -> Path:
     """A tree of our packages that differs from this one in a comment."""
-    for package in ("agent", "plant", "bridges", "deploy"):
-        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "handfast.py", folder)
-    with open(folder / "agent" / "core.py", "a", encoding="utf-8") as file:
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "handfast", folder / "handfast", ignore=ignored)
+    with open(folder / "handfast" / "agent" / "core.py", "a", encoding="utf-8") as file:
         file.write("# a change\n")
     return folder

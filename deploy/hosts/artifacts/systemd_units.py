@@ -190,8 +190,8 @@ def _lines(
     needs: Needs,
     limits: Sequence[str] = (),
 ) -> Iterator[str]:
-    # Read again by handfast.deploy.hosts.remote_program: tells whether what runs is what is meant, and has read what
-    # is there; which folders there must be.
+    # deploy.hosts.remote_program reads this again: it tells whether what runs is what is meant, and has read
+    # what is there; which folders there must be.
     yield "# Written by `handfast up`: changed there, or removed by `handfast down`."
     yield f"# runs: {json.dumps(words)}"
     yield f"# reads: {json.dumps(reads)}"

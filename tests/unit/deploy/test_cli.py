@@ -46,7 +46,7 @@ def test_what_is_missing_for_a_command_is_named_with_what_brings_it(
     for name in [
         name
         for name in sys.modules
-        if name.startswith(("bridges", "pymap3d", "handfast.deploy.processes.placement"))
+        if name.startswith(("handfast.bridges", "pymap3d", "handfast.deploy.processes.placement"))
     ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pymap3d", None)
@@ -140,9 +140,9 @@ def loaded_by(*arguments: str) -> set[str]:
 @pytest.mark.parametrize("arguments", [("--help",), ()])
 def test_help_loads_no_command_and_nothing_of_fleets(arguments: tuple[str, ...]) -> None:
     loaded = loaded_by(*arguments)
-    assert not loaded & {*HEAVY, "numpy", "bridges", "plant"}
+    assert not loaded & {*HEAVY, "numpy", "handfast.bridges", "handfast.plant"}
     light = {"handfast.agent.common", "handfast.agent.common.errors", "handfast.agent.common.exit"}
-    assert {name for name in loaded if name.startswith("agent.")} == light
+    assert {name for name in loaded if name.startswith("handfast.agent.")} == light
     assert not [name for name in loaded if name.startswith("handfast.deploy.commands.")]
 
 
@@ -347,15 +347,6 @@ def test_an_output_without_room_is_one_line(arguments: tuple[str, ...]) -> None:
     with full.open("w") as stream:
         done = command_line(*arguments, stdout=stream)
     assert (done.returncode, done.stderr) == (1, "handfast: cannot write: No space left on device\n")
-
-
-@pytest.mark.parametrize("package", ["agent", "plant", "bridges"])
-def test_a_file_in_the_way_of_a_package_is_named_and_not_run(package: str, tmp_path: Path) -> None:
-    file = tmp_path / f"{package}.py"
-    file.write_text("print('it ran')")
-    done = command_line("--help", path=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"handfast: {file} takes the place of handfast's package {package}: rename it\n"
 
 
 THREADED: Final = """

@@ -44,8 +44,8 @@ def test_nothing_is_known_of_a_new_file(tmp_path: Path):
 def test_it_outlives_a_process_that_is_killed(tmp_path: Path):
     file = tmp_path / "pose"
     code = (
-        "import os, pathlib, signal; from handfast.plant.pose_file import PoseFile; from handfast.agent.control.hand "
-        "import Pose; "
+        "import os, pathlib, signal; from handfast.plant.pose_file import PoseFile; "
+        "from handfast.agent.control.hand import Pose; "
         f"s = PoseFile(pathlib.Path({str(file)!r})); s.write(Pose(1.5, -2.0, 0.25, 3.0, 0.0)); "
         "os.kill(os.getpid(), signal.SIGKILL)"
     )

@@ -12,7 +12,7 @@ from handfast.agent.common.errors import Error, MissingPackageError, packages_na
     [
         ("matplotlib.figure", "the package matplotlib.figure: install the operator's extra, pip install 'ha"),
         ("serial", "the package serial: install the rovers' extra, pip install 'handfast[rover]'"),
-        ("deploy", "the package deploy: install the operator's extra"),
+        ("handfast.deploy", "the package handfast.deploy: install the operator's extra"),
     ],
 )
 def test_a_package_that_is_missing_is_named_with_its_extra(name: str, says: str) -> None:
@@ -25,7 +25,7 @@ def test_a_package_that_is_missing_is_named_with_its_extra(name: str, says: str)
     assert isinstance(caught.value, Error)
 
 
-@pytest.mark.parametrize("name", ["agent.cores", "deploy.apis", None])
+@pytest.mark.parametrize("name", ["handfast.agent.cores", "handfast.deploy.apis", None])
 def test_a_fault_of_our_own_stays_what_it_is(name: str | None) -> None:
     with pytest.raises(ModuleNotFoundError), packages_named():
         raise ModuleNotFoundError("no", name=name)

@@ -147,9 +147,11 @@ def test_a_class_is_found_by_its_module_by_its_name_and_when_it_was_registered()
         ),
         ("strange_things.cancelled:X", r"CancelledError \(.*cancelled.py:3\)"),
         ("strange_things.odd:X", r"cannot be imported: ValueError: no X \(.*odd.py:12\)"),
-        ("plant:Sledge", "plant is the name of a package of handfast: give your module another name$"),
-        ("agent.no_such:X", "agent is the name of a package of handfast"),
-        ("handfast:Sledge", "handfast is the name of a package of handfast"),
+        (
+            "handfast.no_such:X",
+            "handfast is the name of this program's package: give your module another name$",
+        ),
+        ("handfast:Sledge", "handfast is the name of this program's package"),
         ("whole", 'its entry point is "strange_things.good"'),
     ],
 )

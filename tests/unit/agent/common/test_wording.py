@@ -21,15 +21,15 @@ def test_shown_values_are_short_and_on_one_line() -> None:
 
 
 def test_what_was_meant_is_like_what_was_written() -> None:
-    names = ("drive", "down", "resume", "remove", "reserve", "rover-simulator")
+    names = ("drive", "down", "resume", "remove", "reserve", "completion")
     for name, most, question in (
         ("drvie", 1, "did you mean drive?"),
         ("driv", 3, "did you mean drive?"),
         ("reserv", 1, "did you mean reserve?"),
         ("reserv", 2, "did you mean reserve or resume?"),
         ("reseve", 3, "did you mean reserve, resume or remove?"),
-        ("rov", 1, "did you mean rover-simulator?"),  # its beginning, which is too little to be like it
-        ("ro", 1, ""),
+        ("com", 1, "did you mean completion?"),  # its beginning, which is too little to be like it
+        ("co", 1, ""),
         ("", 1, ""),
         ("nothing", 3, ""),
         ("drive" * 20, 1, ""),

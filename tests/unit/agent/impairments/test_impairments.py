@@ -175,7 +175,8 @@ def test_delays_are_the_same_on_every_machine_and_in_every_process():
         delay = Delay.parse(text)
         assert [delay.sample(STREAM, FIRST + n) for n in range(3)] == pytest.approx(numbers, rel=1e-12), text
     code = (
-        "from handfast.agent.impairments.impairments import *; from handfast.agent.common import random_streams\n"
+        "from handfast.agent.impairments.impairments import *\n"
+        "from handfast.agent.common import random_streams\n"
         "s = random_streams.stream(7, 'link', 1, 2, 'hand', 'something')\n"
         "print([Delay.parse('normal 80ms 20ms 25%').sample(s, 2**20 + 999), "
         "[n for n in range(2**20, 2**20 + 99) if Loss.parse('gemodel 10% 30%').lost(s, n)]])"

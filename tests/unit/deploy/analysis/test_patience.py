@@ -102,7 +102,8 @@ def test_an_interrupt_ends_both(tmp_path: Path) -> None:
 
 
 def test_what_is_printed_is_printed_once() -> None:
-    code = "from handfast.deploy.analysis.patience import answer; print(1); answer('it', lambda: print(2)); print(3)"
+    code = "from handfast.deploy.analysis.patience import answer; "
+    code += "print(1); answer('it', lambda: print(2)); print(3)"
     printed = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60
     )

@@ -11,19 +11,19 @@ def tree(folder: Path) -> Path:
     for package in PACKAGES:
         (folder / package).mkdir(parents=True)
         (folder / package / "module.py").write_text("x = 1\n")
-    (folder / "handfast.py").write_text("")
+    (folder / "handfast" / "__init__.py").write_text("")
     return folder
 
 
 def test_a_byte_of_a_source_and_its_name_count_and_nothing_else_does(tmp_path: Path) -> None:
     root = tree(tmp_path)
     before = sources_digest(root)
-    (root / "agent" / "module.pyc").write_bytes(b"compiled")
+    (root / "handfast" / "agent" / "module.pyc").write_bytes(b"compiled")
     (root / "tests.py").write_text("")
     assert sources_digest(root) == before
-    (root / "agent" / "module.py").rename(root / "agent" / "other.py")
+    (root / "handfast" / "agent" / "module.py").rename(root / "handfast" / "agent" / "other.py")
     renamed = sources_digest(root)
-    (root / "deploy" / "module.py").write_text("x = 2\n")
+    (root / "handfast" / "deploy" / "module.py").write_text("x = 2\n")
     assert len({before, renamed, sources_digest(root)}) == 3
 
 

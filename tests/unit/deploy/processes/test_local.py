@@ -94,9 +94,9 @@ def test_each_robot_has_an_agent_and_a_plant_and_a_simulated_rover_where_it_has_
     made = running()
     assert [(child.robot, child.role, child.module) for child in started] == [
         (2, "vehicle", "handfast.bridges.mavlink.simulator"),
-        (1, "agent", "agent"),
-        (1, "plant", "plant"),
-        (2, "agent", "agent"),
+        (1, "agent", "handfast.agent"),
+        (1, "plant", "handfast.plant"),
+        (2, "agent", "handfast.agent"),
         (2, "plant", "handfast.bridges.mavlink"),
     ]
     assert started[0].arguments == ("--system=2",)

@@ -41,7 +41,8 @@ def test_what_is_started_meanwhile_interrupts_nobody() -> None:
 
 
 def test_who_yields_is_nicer_once() -> None:
-    code = f"from handfast.deploy.processes.scheduling import yield_at_start; yield_at_start(); yield_at_start(); {TELL}"
+    code = "from handfast.deploy.processes.scheduling import yield_at_start; "
+    code += f"yield_at_start(); yield_at_start(); {TELL}"
     told = subprocess.check_output([sys.executable, "-c", code]).split()
     assert tuple(map(int, told)) == (os.SCHED_BATCH, max(os.nice(0), STARTING))
 

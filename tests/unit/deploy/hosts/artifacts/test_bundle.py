@@ -40,9 +40,9 @@ def test_our_packages_are_the_same_bytes_every_time_and_without_the_operators():
     archive = program_archive()
     assert archive == program_archive()
     names = zipfile.ZipFile(BytesIO(archive)).namelist()
-    assert "agent/core.py" in names
-    assert {"bridges/mavlink/__main__.py", "handfast.py"} <= set(names)
-    assert not any(name.startswith(("deploy", "tests")) or name.endswith(".pyc") for name in names)
+    assert "handfast/agent/core.py" in names
+    assert {"handfast/bridges/mavlink/__main__.py", "handfast/__init__.py"} <= set(names)
+    assert not any(name.startswith(("handfast/deploy", "tests")) or name.endswith(".pyc") for name in names)
 
 
 def test_the_version_names_all_that_is_in_it():

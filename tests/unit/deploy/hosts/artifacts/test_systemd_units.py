@@ -50,7 +50,11 @@ def test_each_process_is_started_for_its_robot_from_the_installed_version():
         arguments(fleet(), robot, role, PLACES)
         for robot, role in ((1, "agent"), (1, "plant"), (2, "plant"), (1, "recorder"))
     )
-    for words, module in ((agent, "agent"), (plant, "plant"), (bridge, "handfast.bridges.mavlink")):
+    for words, module in (
+        (agent, "handfast.agent"),
+        (plant, "handfast.plant"),
+        (bridge, "handfast.bridges.mavlink"),
+    ):
         assert words[:4] == ["/r/versions/1/bin/python", "-P", "-m", module]
     assert agent[4:8] == ["--fleet", "/r/fleets/two/fleet.toml", "--robot", "1"]
     assert agent[8:] == plant[8:10] == bridge[8:] == ["--orders", "/r/fleets/two/orders"]
@@ -69,7 +73,8 @@ def test_a_router_is_started_with_its_own_key() -> None:
     assert name == "handfast-two-router.service"
     said = settings(text)
     assert said["ExecStart"] == (
-        "/r/versions/1/bin/python -P -m handfast.agent.runtime.router --fleet /r/fleets/two/fleet.toml --number 1 "
+        "/r/versions/1/bin/python -P -m handfast.agent.runtime.router "
+        "--fleet /r/fleets/two/fleet.toml --number 1 "
         "--keys /r/fleets/two/keys"
     )
     assert '# reads: ["/r/fleets/two/keys/two.router.1.crt"]' in text
