@@ -17,7 +17,7 @@ from struct import Struct
 from typing import Final
 
 from handfast.agent.control.hand import Pose
-from handfast.agent.recorder.segment_folder import PASSING
+from handfast.agent.recorder.folder import PASSING
 from handfast.plant.backend import Check, Command, Place, PlantBackend, Reading
 
 _PLACE: Final = Struct("<Qddd")  # number of the record; x, y (m, W), heading (rad)

@@ -21,12 +21,15 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.loading import digest, load_fleet, read_text
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.messages import key_expressions
-from handfast.agent.recorder.recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
-from handfast.agent.recorder.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
-from handfast.agent.recorder.segments import About, Received
-from handfast.agent.recorder.writer_thread import RecorderThread
+from handfast.agent.recorder.folder import FolderInUseError, RecordingFolder, recording_files
+from handfast.agent.recorder.recorder import (
+    About,
+    Received,
+    RobotRecorder,
+    known_orders,
+    order_keys,
+)
 from handfast.agent.runtime.certificate_wait import wait_until_valid
-from handfast.agent.runtime.clock import RealClock
 from handfast.agent.runtime.loop import Log
 from handfast.agent.runtime.process import StartError, logger, open_bus, robot_arguments
 from handfast.agent.runtime.shutdown import Shutdown
@@ -44,54 +47,30 @@ MESSAGES_PER_TICK: Final = 5.5
 INBOX_MIN: Final = 4096
 """Smallest inbox, messages."""
 LOOK_BACK: Final = 32
-"""So many of the newest segments are asked for orders."""
+"""Number of newest files that are searched for orders."""
 FOR_GOOD: Final = (errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.EACCES, errno.EPERM)
 """Errors of a folder that another start does not mend."""
 NICE: Final = 10
 """Whatever else a robot's computer does comes first."""
 STEP_NS: Final = NS_PER_S // 2
-"""By how much the wall clock may drift from the monotonic one before it counts as set."""
-_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
-
-
-class _WallClock:
-    """The wall clock, carried on by the monotonic one until somebody sets it."""
-
-    def __init__(self) -> None:
-        self._clock = RealClock()
-
-    def now_ns(self) -> int:
-        return self._clock.now_ns()
-
-    def stepped_ns(self) -> int:
-        """By how much it was set since the last call, 0 when it was not; it goes on as it is now."""
-        off_ns = time.time_ns() - self._clock.now_ns()
-        if abs(off_ns) < STEP_NS:
-            return 0
-        self._clock = RealClock()
-        return off_ns
+"""Change of the wall clock against the monotonic one above which it counts as set."""
 
 
 def about(fleet: Fleet, fleet_toml: str, robot: int) -> About:
-    """Whose the segments of a robot are. Their numbers and times are still 0."""
+    """Return whose recording it is."""
     if not fleet.is_resolved:  # else without numpy, which takes its time
         from handfast.agent.formation.geometry import resolved
 
         fleet = resolved(fleet)
-    try:
-        boot = _BOOT_ID.read_text("ascii").strip()
-    except (OSError, ValueError):
-        boot = ""
-    return About(fleet.fleet.name, digest(fleet), robot, handfast_version(), boot, 0, 0, fleet_toml)
+    return About(fleet.fleet.name, digest(fleet), robot, handfast_version(), fleet_toml)
 
 
 def known(path: Path, orders: frozenset[str]) -> list[Received]:
-    """The orders in the newest segment of a folder that holds any: the newest of all may be damaged or cut.
-    None where there is none that can be read."""
+    """Return the orders in the newest readable file of a folder that holds any."""
     with suppress(OSError):
-        for segment in segment_paths(path)[: -LOOK_BACK - 1 : -1]:
+        for file in recording_files(path)[: -LOOK_BACK - 1 : -1]:
             with suppress(OSError):
-                if found := list(known_orders(segment, orders)):
+                if found := known_orders(file, orders):
                     return found
     return []
 
@@ -102,9 +81,9 @@ def inbox_size(fleet: Fleet) -> int:
 
 
 def record(
-    bus: Bus, inbox: int, thread: RecorderThread, shutdown: Shutdown, systemd: SystemdNotifier
+    bus: Bus, inbox: int, recorder: RobotRecorder, shutdown: Shutdown, systemd: SystemdNotifier
 ) -> None:
-    """Records what comes until the process is asked to end and all is on the disk.
+    """Records until the process is asked to end and all is on the disk.
 
     Args:
         inbox: as many messages may wait on the bus.
@@ -112,51 +91,31 @@ def record(
     Raises:
         OSError: nothing can be recorded any more.
     """
-    clock = _WallClock()
-
-    def hear() -> None:
-        now_ns = clock.now_ns()
-        messages = list(bus.drain())
-        step_s = clock.stepped_ns() / NS_PER_S
-        thread.hear(now_ns, messages, overflow=len(messages) >= inbox, step_s=step_s)
-
+    offset_ns = time.time_ns() - time.monotonic_ns()
     while not shutdown.asked:
         time.sleep(POLL_S)
-        hear()
-        if thread.error is not None:
-            raise thread.error
+        now_ns = time.time_ns()
+        before_ns, offset_ns = offset_ns, now_ns - time.monotonic_ns()
+        if abs(offset_ns - before_ns) >= STEP_NS:
+            recorder.set_clock(now_ns, (offset_ns - before_ns) / NS_PER_S)
+        _hear(bus, inbox, recorder, now_ns)
         systemd.lives(time.monotonic_ns())
         shutdown.look_for_parent()
     systemd.stopping()
-    hear()
-    thread.end()
-    while thread.working:  # a disk that stalls
+    _hear(bus, inbox, recorder, time.time_ns())
+    while not recorder.is_idle:  # a disk that stalls
         time.sleep(POLL_S)
         systemd.lives(time.monotonic_ns())
-    if thread.error is not None:
-        raise thread.error
+    recorder.end_file(time.time_ns())
 
 
-def _open(
-    path: Path, bytes_max: int, shutdown: Shutdown, systemd: SystemdNotifier, log: Log
-) -> SegmentFolder | None:
-    """The folder, once the disk lets it be made; None when the process is asked to end before."""
-    said = False
-    while not shutdown.asked:
-        try:
-            return SegmentFolder(path, bytes_max)
-        except OSError as error:
-            if error.errno not in PASSING:
-                raise
-            if not said:
-                log(f"not recording: cannot make {path} ({error.strerror}); {AGAIN}")
-            said = True
-        deadline = time.monotonic() + RETRY_NS / NS_PER_S
-        while time.monotonic() < deadline and not shutdown.asked:
-            time.sleep(POLL_S)
-            systemd.lives(time.monotonic_ns())
-            shutdown.look_for_parent()
-    return None
+def _hear(bus: Bus, inbox: int, recorder: RobotRecorder, now_ns: int) -> None:
+    messages = bus.drain()
+    if len(messages) >= inbox:
+        recorder.overflow()
+    for key, payload in messages:
+        recorder.add(now_ns, key, payload)
+    recorder.flush_if_due(now_ns)
 
 
 def _bus(fleet: Fleet, robot: int, folder: str | None, log: Log) -> Bus:
@@ -187,21 +146,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         with SystemdNotifier() as systemd:
             identity = of_robot(fleet.fleet.name, robot) if fleet.is_secured else None
             wait_until_valid(identity, options.keys, asked, systemd, log)
-            systemd.ready()  # it does its work: a disk that is full must not look like a start that fails
-            folder = _open(path, fleet.recording.max_mb * 1_000_000, shutdown, systemd, log)
-            if folder is None:
-                return PASSED
+            systemd.ready()  # a disk that is full must not look like a start that fails
             with (
-                folder,
+                RecordingFolder(path, fleet.recording.max_mb * 1_000_000) as folder,
                 _bus(fleet, robot, options.keys, log) as bus,
             ):
                 inbox = inbox_size(fleet)
                 bus.subscribe(key_expressions.everything(fleet.fleet.name), inbox)
                 log(f"recording into {path}, at most {fleet.recording.max_mb} MB")
                 orders = order_keys(whose.fleet, robot)
-                recorder = RobotRecorder(folder, whose, orders, known(path, orders), log)
-                with RecorderThread(recorder) as thread:
-                    record(bus, inbox, thread, shutdown, systemd)
+                with RobotRecorder(folder, whose, orders, known(path, orders), log) as recorder:
+                    record(bus, inbox, recorder, shutdown, systemd)
                 log(f"ending ({shutdown.why})")
     except (FleetError, StartError) as error:
         log(str(error))

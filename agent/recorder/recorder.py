@@ -1,42 +1,64 @@
-"""Makes blocks of what a robot says, and writes them to the disk of its computer.
+"""Writes what a robot says to the disk of its computer, as a sequence of MCAP files.
 
-No clock, no bus: the process around it has both. What the disk does not take is counted, and the block
-after it says how much is missing.
+No clock and no bus: the process around it has both. The recorder counts messages that the disk does not take
+and notes their number in the next file. Besides its messages a file holds, as metadata, the fleet and robot
+(`RUN_METADATA`), orders as they were received (`ORDER_METADATA`), and losses (`LOSS_METADATA`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator
+import binascii
+from collections.abc import Callable, Container, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import IO, Final, NamedTuple, Self, cast
+
+from mcap.records import Metadata
+from mcap.stream_reader import StreamReader
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages import key_expressions
-from handfast.agent.recorder.segment_folder import SegmentFolder
-from handfast.agent.recorder.segments import (
-    KNOWN,
-    ORDERS,
-    OVERFLOW,
-    About,
-    Received,
-    Segment,
-    about_block,
-    message_block,
-)
+from handfast.agent.messages.codec import decode
+from handfast.agent.messages.types import Message
+from handfast.agent.messages.validation import Malformed
+from handfast.agent.recorder.folder import RecordingFolder
+from handfast.agent.recorder.message_file import MessageFile
+from handfast.agent.security.sealed_order import Forged, unverified
 
-BLOCK_NS: Final = 9 * NS_PER_S // 10
-"""A block holds so much: with waking and writing, what a power loss costs is about a second."""
-BLOCK_BYTES: Final = 1 << 20
-"""Or so many bytes, if that is less: a flood on the bus takes no memory."""
+FLUSH_NS: Final = 9 * NS_PER_S // 10
+"""Longest time for which messages wait in memory; with waking and writing, a power loss costs a second."""
+FLUSH_BYTES: Final = 1 << 20
+"""Maximum size of the messages that wait in memory."""
 KNOWN_BYTES: Final = 1 << 18
-"""So much of the newest orders stands in every segment: the one that had them first may be gone."""
+"""Maximum size of the earlier orders that every file repeats: older files are deleted."""
+WAITING_BYTES: Final = 16_000_000
+"""Maximum size of the messages that wait while the disk stalls: more than a minute of one robot."""
 RETRY_NS: Final = 5 * NS_PER_S
-"""How long a disk that took nothing is left alone."""
+"""Time for which the recorder does not write to a disk that failed."""
 AGAIN: Final = f"tried again every {RETRY_NS // NS_PER_S} s"
+ORDER_METADATA: Final = "handfast.order"
+"""An order as it was received, with the operator's seal: its key, time of reception, bytes (base64)."""
+LOSS_METADATA: Final = "handfast.loss"
+"""Messages that are missing before a time; an unknown number where the recorder did not keep up."""
+
+Received = tuple[int, str, bytes]
+"""One message: time of reception (wall clock, ns), key, payload."""
+
+
+class About(NamedTuple):
+    """The fleet and robot of a recording: the fleet's name, the digest and text of its file, the robot's id,
+    and the version of handfast."""
+
+    fleet: str
+    digest: str
+    robot: int
+    version: str
+    fleet_toml: str
 
 
 def order_keys(fleet: str, robot: int) -> frozenset[str]:
-    """Keys on which a recorder may hear orders."""
+    """Keys on which a recorder may receive orders."""
     return frozenset(
         {
             key_expressions.mission(fleet),
@@ -47,25 +69,65 @@ def order_keys(fleet: str, robot: int) -> frozenset[str]:
     )
 
 
-def known_orders(path: Path, orders: Container[str]) -> Iterator[Received]:
-    """The orders in a segment, as they were received.
+def order_of(metadata: Mapping[str, str]) -> Received:
+    """The order in metadata of the name `ORDER_METADATA`; raises KeyError or ValueError where it is none."""
+    payload = binascii.a2b_base64(metadata["payload"], strict_mode=True)
+    return int(metadata["received_ns"]), metadata["key"], payload
+
+
+def known_orders(path: Path, orders: Container[str]) -> list[Received]:
+    """The orders in a file, up to where it is cut or damaged.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be opened.
     """
-    with open(path, "rb") as stream:
-        segment = Segment(stream)
-        for block in segment.blocks():
-            if block.kind == KNOWN or block.flags & ORDERS:
-                yield from (each for each in segment.messages(block) if each[1] in orders)
+    found = []
+    with open(path, "rb") as stream, suppress(Exception):  # the library raises many types for damage
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, Metadata) and record.name == ORDER_METADATA:
+                found.append(order_of(record.metadata))
+    return [order for order in found if order[1] in orders]
+
+
+def order_message(payload: bytes) -> Message:
+    """The message in an order that may be sealed, whoever sealed it; raises `Malformed` or `Forged`."""
+    try:
+        return decode(payload)
+    except Malformed:
+        return decode(unverified(payload))
+
+
+class _Sink:
+    """Collects what `MessageFile` writes until it goes to the disk."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._at = 0
+
+    def write(self, data: bytes) -> int:
+        self._parts.append(bytes(data))
+        self._at += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._at
+
+    def flush(self) -> None: ...
+
+    def take(self) -> bytes:
+        data = b"".join(self._parts)
+        self._parts.clear()
+        return data
 
 
 class RobotRecorder:
-    """Records one robot.
+    """Records one robot. A context manager, whose end waits for the disk.
+
+    A thread writes to the disk, so `add` and `flush` never wait for it.
 
     Args:
-        folder: where to.
-        about: whose the segments are; their numbers and times are filled in.
+        folder: receives the files.
+        about: fleet and robot of the recording.
         orders: keys of orders.
         known: orders that were received before.
         log: writes one line of the process's log.
@@ -76,104 +138,176 @@ class RobotRecorder:
 
     def __init__(
         self,
-        folder: SegmentFolder,
+        folder: RecordingFolder,
         about: About,
         orders: Container[str],
         known: Iterable[Received],
         log: Callable[[str], None],
     ) -> None:
         self._folder, self._about, self._orders, self._log = folder, about, orders, log
-        self._received: list[Received] = []
-        self._bytes = 0
-        self._flags = 0
-        self._begun_ns = 0
+        self._disk = ThreadPoolExecutor(1)
+        self._writing: Future[None] | None = None
+        self._written = 0
+        """Number of the messages that are being written."""
+        self._sink = _Sink()
+        self._file: MessageFile | None = None
+        self._begins = True
+        """True if nothing of the file has been written to the disk."""
+        self._count = self._bytes = self._begun_ns = 0
+        """Messages that wait for the disk, their size, and the reception of the first."""
         self._retry_ns: int | None = None
-        """When the disk is tried again; None while it takes what it is given."""
+        """Time at which the disk is tried again; None while it works."""
         self.lost = 0
+        self._overflow = False
+        self._told = 0, False
+        """Loss and overflow that the data state that are being written."""
         self._known: dict[tuple[str, bytes], int] = {}
-        """When orders came, those that came last at the end."""
+        """Times at which orders were received, the newest last."""
         self._known_bytes = 0
         for received in known:
             self._know(*received)
 
-    def add(self, now_ns: int, key: str, payload: bytes) -> None:
-        """Takes one message that was received at `now_ns` (wall clock)."""
-        if not self._received:
-            self._begun_ns = now_ns
-        self._received.append((now_ns, key, payload))
-        self._bytes += len(key) + len(payload)
-        if key in self._orders:
-            self._flags |= ORDERS
-            self._know(now_ns, key, payload)
-        if self._bytes >= BLOCK_BYTES:
-            self.flush(now_ns)
+    def __enter__(self) -> Self:
+        return self
 
-    def _know(self, now_ns: int, key: str, payload: bytes) -> None:
+    def __exit__(self, *_: object) -> None:
+        self._disk.shutdown()
+
+    def add(self, now_ns: int, key: str, payload: bytes) -> None:
+        """Add a message that was received at `now_ns` (wall clock)."""
+        if not self._count:
+            self._begun_ns = now_ns
+        file = self._file or self._begin()
+        self._count += 1
+        self._bytes += len(key) + len(payload)
+        is_order = key in self._orders
+        if is_order and self._know(now_ns, key, payload):
+            _write_order(file, now_ns, key, payload)
+        try:
+            message = order_message(payload) if is_order else decode(payload)
+        except (Malformed, Forged):
+            file.add_raw(now_ns, key, payload)
+        else:
+            file.add(now_ns, key, message)
+        if self._bytes >= FLUSH_BYTES:
+            self.flush(now_ns)  # a flood
+
+    def _know(self, now_ns: int, key: str, payload: bytes) -> bool:
+        """Remember an order; return True if it is new."""
         if (key, payload) in self._known:
-            return
+            return False
         self._known[key, payload] = now_ns
         self._known_bytes += len(key) + len(payload)
         while self._known_bytes > KNOWN_BYTES:
             oldest = next(iter(self._known))
             del self._known[oldest]
             self._known_bytes -= sum(map(len, oldest))
+        return True
 
     def overflow(self) -> None:
-        """Notes that messages were lost before they were added."""
-        self._flags |= OVERFLOW
+        """Note that an unknown number of messages were lost before they were added."""
+        self._overflow = True
 
-    def lose(self, count: int) -> None:
-        """Counts messages that were given up before they were added: the disk was too slow."""
-        if self._retry_ns is None:  # else it is logged when the disk takes some again
-            self._log(f"the disk was too slow: {count} messages were not kept")
-        self.lost += count
+    @property
+    def is_idle(self) -> bool:
+        """True if nothing is being written to the disk."""
+        return self._writing is None or self._writing.done()
 
     def flush_if_due(self, now_ns: int) -> None:
-        """Puts on the disk what has waited for long enough."""
-        if self._received and now_ns - self._begun_ns >= BLOCK_NS:
+        """Flush if messages have waited long enough."""
+        if self._count and now_ns - self._begun_ns >= FLUSH_NS:
             self.flush(now_ns)
 
-    def flush(self, now_ns: int) -> None:
-        """Puts on the disk what waits; what it does not take is lost.
+    def flush(self, now_ns: int, *, ends: bool = False) -> None:
+        """Have all waiting messages written to the disk; those that it does not take are lost.
+
+        While the disk is busy with earlier messages they go on waiting, up to `WAITING_BYTES`.
+
+        Args:
+            ends: the file ends after them.
 
         Raises:
-            FileNotFoundError: the folder is gone: only another start makes it again.
+            FileNotFoundError: the folder is gone. Only another start makes it again.
         """
-        received, flags = self._received, self._flags
-        if not received:
+        if not self.is_idle:
+            if self._bytes > WAITING_BYTES:
+                if self.lost == 0:
+                    self._log("the disk is too slow: messages are not kept")
+                self._drop()
             return
-        self._received, self._bytes = [], 0
+        self._settle(now_ns)
         if self._retry_ns is not None and now_ns < self._retry_ns:
-            self.lost += len(received)
+            self._drop()
+        if self._file is None:
             return
-        block = message_block(received, flags=flags, lost=self.lost)
+        if self.lost or self._overflow:
+            loss = {"messages": str(self.lost), "overflow": str(int(self._overflow))}
+            self._file.add_metadata(LOSS_METADATA, {"before_ns": str(self._begun_ns), **loss})
+        self._file.flush()
+        data = self._sink.take()
+        if ends or self._folder.is_full_with(len(data)):
+            ends = True
+            self._file.finish()
+            data += self._sink.take()
+            self._file = None
+        self._written, self._count, self._bytes = self._count, 0, 0
+        self._told, self._overflow = (self.lost, self._overflow), False
+        begins, self._begins = self._begins, False
+        self._writing = self._disk.submit(self._folder.append, data, begins=begins, ends=ends)
+
+    def _settle(self, now_ns: int) -> None:
+        """Take the result of the last write, waiting for it."""
+        writing, self._writing = self._writing, None
+        if writing is None:
+            return
         try:
-            self._folder.append(block, lambda number: self._first(number, received[0][0]))
+            writing.result()
         except FileNotFoundError:
             raise
         except OSError as error:
-            self._failed(now_ns, error)
-            self.lost += len(received)
-            return
-        self._flags = 0
-        if self._retry_ns is not None:
-            self._log(f"recording again; {self.lost} messages were not kept")
-        self._retry_ns, self.lost = None, 0
+            if self._retry_ns is None:  # logged once
+                why = error.strerror or type(error).__name__
+                self._log(f"not recording: {self._folder.path} takes no more ({why}); {AGAIN}")
+            self._retry_ns = now_ns + RETRY_NS
+            self.lost += self._written
+            self._overflow = self._overflow or self._told[1]
+            self._drop()
+        else:
+            if self._retry_ns is not None:
+                self._log(f"recording again; {self._told[0]} messages were not kept")
+            self._retry_ns = None
+            self.lost -= self._told[0]
 
-    def set_clock(self, by_s: float) -> None:
-        """Begins a segment, as the wall clock was set by `by_s` s. Call `flush` before."""
-        self._folder.end_segment()
+    def end_file(self, now_ns: int) -> None:
+        """Have all waiting messages written and the file completed; wait for it."""
+        self._settle(now_ns)
+        self.flush(now_ns, ends=True)
+        self._settle(now_ns)
+
+    def set_clock(self, now_ns: int, by_s: float) -> None:
+        """Begin another file, as the wall clock was set by `by_s` s."""
+        self.end_file(now_ns)
         if self._retry_ns is not None:
             self._retry_ns = 0
         self._log(f"this computer's clock was set by {by_s:+.3f} s")
 
-    def _first(self, number: int, begun_ns: int) -> bytes:
-        head = about_block(self._about._replace(number=number, begun_ns=begun_ns))
-        known = sorted((at_ns, key, payload) for (key, payload), at_ns in self._known.items())
-        return head + message_block(known, kind=KNOWN) if known else head
+    def _begin(self) -> MessageFile:
+        about = self._about
+        run = {"version": about.version, "fleet": about.fleet, "mode": "run", "robot": str(about.robot)}
+        self._sink, self._begins = _Sink(), True
+        stream = cast("IO[bytes]", self._sink)
+        self._file = MessageFile(stream, run | {"digest": about.digest}, about.fleet_toml)
+        for (key, payload), at_ns in self._known.items():
+            _write_order(self._file, at_ns, key, payload)
+        return self._file
 
-    def _failed(self, now_ns: int, error: OSError) -> None:
-        if self._retry_ns is None:  # said once
-            why = error.strerror or type(error).__name__
-            self._log(f"not recording: {self._folder.path} takes no more ({why}); {AGAIN}")
-        self._retry_ns = now_ns + RETRY_NS
+    def _drop(self) -> None:
+        """Lose all waiting messages, and begin another file."""
+        self.lost += self._count
+        self._count = self._bytes = 0
+        self._file = None
+
+
+def _write_order(file: MessageFile, at_ns: int, key: str, payload: bytes) -> None:
+    text = binascii.b2a_base64(payload, newline=False).decode()
+    file.add_metadata(ORDER_METADATA, {"key": key, "received_ns": str(at_ns), "payload": text})

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
+from handfast.agent.recorder.folder import FILE_NAME, recording_files
 from handfast.deploy.console.wording import some
 from handfast.deploy.hosts.connection import HostConnection, HostError
 from handfast.deploy.hosts.view import Row
@@ -86,7 +86,7 @@ class Fetching:
         """
         folder = self._folder(robot)
         try:
-            fetched_s = folder.stat().st_mtime if segment_paths(folder) else None
+            fetched_s = folder.stat().st_mtime if recording_files(folder) else None
         except OSError:
             return None
         if fetched_s is None:
@@ -135,7 +135,7 @@ class Fetching:
 
     def _listing(self, connection: HostConnection, robot: int, there: str) -> Listed:
         answer = connection.ask(
-            "listing", folder=there, pattern="*.segment", most=FILES_MAX, answer_bytes=FILES_MAX * NAME_BYTES
+            "listing", folder=there, pattern="*.mcap", most=FILES_MAX, answer_bytes=FILES_MAX * NAME_BYTES
         )
         if not isinstance(answer, dict):
             raise HostError(f"does not say what robot {robot} recorded")
@@ -143,7 +143,7 @@ class Fetching:
             raise HostError(f"says that robot {robot} recorded {len(answer)} files, asked for {FILES_MAX}")
         # The name becomes that of a file here.
         listed: Listed = {
-            name: _about(name, about) for name, about in answer.items() if SEGMENT_NAME.fullmatch(name)
+            name: _about(name, about) for name, about in answer.items() if FILE_NAME.fullmatch(name)
         }
         return listed
 
@@ -174,14 +174,14 @@ def _remove_pruned(folder: Path, listed: Listed) -> None:
     """Removes copies of what made room for newer ones there: older than all that is there. Where nothing is
     there, as on a new SD card, these copies are all that there is."""
     numbers = [number for name in listed if (number := _number(name)) is not None]
-    for path in segment_paths(folder) if numbers else ():
+    for path in recording_files(folder) if numbers else ():
         number = _number(path.name)
         if number is not None and number < min(numbers):
             path.unlink()
 
 
 def _number(name: str) -> int | None:
-    match = SEGMENT_NAME.fullmatch(name)
+    match = FILE_NAME.fullmatch(name)
     return int(match[1]) if match else None
 
 

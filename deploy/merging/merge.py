@@ -1,18 +1,20 @@
 """Makes one run's folder of what robots' computers recorded; `handfast report` works on it as on any other.
 
-Messages come in the order of their reception, each by the clock of its robot's computer. What robots say is
-believed of each robot by its own recording; what all of them share, the fleet file, orders and fault rules,
-by what most have, or an operator has sealed. What is missing is said in warnings, which the report shows.
+Messages come in the order of their reception, each by the clock of its robot's computer. A robot's own
+recording is believed about that robot, and most robots' or the operators' seals about the fleet
+(`deploy.merging.believed`). What is missing is said in warnings, which the report shows.
 """
 
 from __future__ import annotations
 
 import heapq
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from statistics import median_high, median_low
 from typing import Final, NamedTuple
 
 from handfast.agent.common.time import NS_PER_S
@@ -21,35 +23,34 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode, newer
 from handfast.agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
-from handfast.agent.recorder.segments import Received
+from handfast.agent.recorder.recorder import Received
 from handfast.agent.security.sealed_order import Openers
-from handfast.deploy.merging.fleet_files import FleetFiles, Ruling, taken
-from handfast.deploy.merging.held_faults import HeldFaults
-from handfast.deploy.merging.missing import Window, missing, times
-from handfast.deploy.merging.orders import Order, Orders, orders_given
-from handfast.deploy.merging.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
+from handfast.deploy.merging.believed import FleetFiles, HeldFaults, Order, orders_given
+from handfast.deploy.merging.robot_files import GAP_NS, Damage, MergeError, RobotFile, by_time, recordings
 from handfast.deploy.recording.recorder import RecordingError
 from handfast.deploy.report.run_folder import RunFolder
 from handfast.deploy.verdict.run_result import RunResult
 
 MARGIN_NS: Final = 5 * NS_PER_S
-"""Of the last mission so much before and after is taken as well."""
+"""Time before and after the last mission that is taken as well."""
+GAPS_SHOWN: Final = 5
+VERSION_MAX: Final = 60
+"""Maximum number of characters of a version that are shown."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which part of the recordings is made into a run.
+    """The part of the recordings that is made into a run.
 
-    By default the last mission of the fleet that was recorded last, from `MARGIN_NS` before its epoch until
-    so long after its end.
+    By default the fleet's last mission, from `MARGIN_NS` before its epoch until `MARGIN_NS` after its end.
 
     Args:
         fleet: name of the fleet.
-        since_ns, until_ns: from when and until when (wall clock) instead.
+        since_ns, until_ns: beginning and end (wall clock) instead.
         everything: all that there is, instead.
     """
 
-    fleet: str | None = None
+    fleet: str
     since_ns: int | None = None
     until_ns: int | None = None
     everything: bool = False
@@ -60,7 +61,7 @@ class Known(NamedTuple):
 
     Args:
         fleet: its own fleet file.
-        opener: of orders that the fleet's operators have sealed; None: what most robots have counts.
+        opener: of orders that the fleet's operators have sealed; None: orders count that most robots have.
         fetched_before: robots whose recordings are copies of some time ago.
     """
 
@@ -70,7 +71,7 @@ class Known(NamedTuple):
 
 
 class Merged(NamedTuple):
-    """The run that was made of recordings. `result` is what came of it."""
+    """The run that was made of recordings, and its `result`."""
 
     folder: Path
     robots: tuple[int, ...]
@@ -84,7 +85,7 @@ class Merged(NamedTuple):
 def merge(
     folders: Mapping[int, Path],
     out: Path,
-    choice: Choice | None = None,
+    choice: Choice,
     *,
     known: Known | None = None,
     warnings: Sequence[str] = (),
@@ -92,46 +93,37 @@ def merge(
 ) -> Merged:
     """Makes the run's folder `out` of what robots recorded; when it cannot be made, nothing stays of it.
 
-    Where robots had different fleet files in that time, those count whose file is the mission's, the
-    operator's or most robots'; warnings name the others.
-
     Args:
-        folders: by robot, with its segments.
+        folders: by robot, with its files.
         known: what the operator's computer knows by itself.
-        warnings: what else has to be said of the recordings.
+        warnings: other warnings about the recordings.
 
     Raises:
         MergeError: there is nothing to make it of, or something cannot be read.
         handfast.deploy.report.run_folder.FolderError: `out` is not empty or cannot be written.
         handfast.deploy.recording.recorder.RecordingError: the recording cannot be written.
     """
-    there_is = recordings(folders)
-    plan = _plan(there_is.segments, choice or Choice(), known or Known())
-    fleet = plan.ruling.fleet
     damage = Damage()
-    folder = RunFolder(out, fleet, "run")
+    plan = _plan(recordings(folders, damage), choice, known or Known())
+    folder = RunFolder(out, plan.fleet, "run")
     count = 0
     try:
         for received_ns, key, payload in heapq.merge(plan.orders, _messages(plan, damage)):
             folder.record(received_ns, key, payload)
             count += 1
         if count == len(plan.orders):
-            when = times(plan.since_ns, plan.until_ns)
-            raise MergeError(
-                f"all that was recorded {when} is damaged"
-                if damage.pieces
-                else f"nothing was recorded {when}"
+            what = (
+                "all that was recorded {} is damaged" if damage.pieces.total() else "nothing was recorded {}"
             )
-        window = Window(plan.since_ns, plan.until_ns, plan.epoch_ns)
-        said = (*warnings, *plan.warnings, *missing(plan.segments, there_is.refused, damage, fleet, window))
+            raise MergeError(what.format(_times(plan.since_ns, plan.until_ns)))
+        said = (*warnings, *plan.warnings, *_missing(plan, damage))
         result = folder.finish(warnings=said, report=report)
     except BaseException:  # Ctrl-C as well
         with suppress(RecordingError):
             folder.close()
         shutil.rmtree(out, ignore_errors=True)
         raise
-    robots = sorted({segment.about.robot for segment in plan.segments})
-    return Merged(out, tuple(robots), count, plan.since_ns, plan.until_ns, said, result)
+    return Merged(out, tuple(sorted(plan.robots)), count, plan.since_ns, plan.until_ns, said, result)
 
 
 # --- what is taken --------------------------------------------------------------------------------
@@ -139,113 +131,82 @@ def merge(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is read: segments of one fleet file, within a time (wall clock, ns).
+    """Files of one fleet that are read, within a time (wall clock, ns).
 
-    `orders`: by the time at which they were given, those within the time and those from before that still
-    hold.
+    `orders`: by the time at which they were given, those within the time and earlier ones that still hold.
     """
 
-    segments: Sequence[SegmentFile]
-    ruling: Ruling
+    files: Sequence[RobotFile]
+    fleet: Fleet
     since_ns: int
     until_ns: int
     epoch_ns: int | None
     orders: Sequence[Received]
     warnings: Sequence[str]
 
+    @property
+    def robots(self) -> frozenset[int]:
+        return frozenset(file.robot for file in self.files)
 
-def _plan(segments: Sequence[SegmentFile], choice: Choice, known: Known) -> _Plan:
-    if not segments:
-        raise MergeError("there are no recordings of robots in what was given")
-    name = choice.fleet or max(segments, key=_begun).about.fleet
-    ours = [segment for segment in segments if segment.about.fleet == name]
+
+def _plan(recorded: Sequence[RobotFile], choice: Choice, known: Known) -> _Plan:
+    name = choice.fleet
+    ours = [file for file in recorded if file.about and file.about.fleet == name]
     if not ours:
-        there_are = ", ".join(sorted({printable(segment.about.fleet) for segment in segments}))
-        raise MergeError(f"there are no recordings of a fleet {name}; there are some of {there_are}")
+        raise MergeError(f"there are no recordings of a fleet {name} in what was given")
     files = FleetFiles(known.fleet)
-    orders = _orders_in(ours, known)
-    given = [order for order in orders.given if choice.until_ns is None or order.time_ns <= choice.until_ns]
-    mission = _last_mission(given, files, ours)
-    since_ns, until_ns, warnings = _window(choice, mission)
-    inside = [segment for segment in ours if segment.overlaps(since_ns, until_ns)]
-    if not inside:
-        first_ns = min(segment.first_ns for segment in ours)
-        last_ns = max(segment.last_ns for segment in ours)
-        raise MergeError(f"nothing was recorded {times(since_ns, until_ns)}, only {times(first_ns, last_ns)}")
-    ruling = files.choose(inside, None if mission is None else mission.digest)
-    found, said = taken(files, inside, ruling)
-    warnings += [*said, *_not_given(orders, files, known)]
-    robots = frozenset(segment.about.robot for segment in found)
-    given = [order for order in given if order.time_ns <= until_ns]
-    holding = [
-        (order.time_ns, _key(name, order), encode(order))
-        for order in _holding(given, mission, since_ns, robots)
-    ]
-    epoch_ns = None if mission is None else mission.epoch_ns
-    return _Plan(found, ruling, since_ns, until_ns, epoch_ns, holding, warnings)
-
-
-def _begun(segment: SegmentFile) -> int:
-    return segment.first_ns
-
-
-def _orders_in(segments: Sequence[SegmentFile], known: Known) -> Orders:
-    recorded: dict[int, list[bytes]] = {}
+    orders: dict[int, list[bytes]] = {}
     last_ns: dict[int, int] = {}
-    for segment in segments:
-        robot = segment.about.robot
-        recorded.setdefault(robot, []).extend(segment.orders)
-        last_ns[robot] = max(segment.last_ns, last_ns.get(robot, 0))
+    for file in ours:
+        orders.setdefault(file.robot, []).extend(payload for _, _, payload in file.orders)
+        last_ns[file.robot] = max(file.last_ns, last_ns.get(file.robot, 0))
 
     def voters(given_ns: int) -> int:
-        # A copy of before tells nothing of what came after it. All others have a vote: what a recording says
-        # of its own time must not take it from them.
+        # An earlier copy says nothing of later orders. All others have a vote: what a recording says of its
+        # own time must not take it from them.
         away = {robot for robot in known.fetched_before if last_ns.get(robot, 0) < given_ns}
-        return len(recorded.keys() - away)
+        return len(orders.keys() - away)
 
-    return orders_given(recorded, known.opener, voters)
-
-
-def _not_given(orders: Orders, files: FleetFiles, known: Known) -> list[str]:
+    given, left_out = orders_given(orders, known.opener, voters)
+    given = [order for order in given if choice.until_ns is None or order.time_ns <= choice.until_ns]
+    mission: Mission | None = None
+    digests = files.digests(ours)
+    for order in given:
+        if isinstance(order, Mission) and order.digest in digests and newer(order, mission):
+            mission = order
+    since_ns, until_ns, warnings = _window(choice, mission)
+    inside = [
+        file for file in ours if any(first <= until_ns and last >= since_ns for first, last in file.stretches)
+    ]
+    if not inside:
+        there_is = _times(min(file.first_ns for file in ours), max(file.last_ns for file in ours))
+        raise MergeError(f"nothing was recorded {_times(since_ns, until_ns)}, only {there_is}")
+    fleet, found, said = files.choose(inside, None if mission is None else mission.digest)
     why = "no operator has sealed" if known.opener is not None else "most robots' recordings do not have"
-    counts = {
-        robot: "an order is" if count == 1 else f"{count} orders are"
-        for robot, count in sorted(orders.left_out.items())
-    }
-    return [f"of {files.who(robot)} {count} left out, which {why}" for robot, count in counts.items()]
+    for robot, count in sorted(left_out.items()):
+        what = "an order is" if count == 1 else f"{count} orders are"
+        said.append(f"of {files.who(robot)} {what} left out, which {why}")
+    given = [order for order in given if order.time_ns <= until_ns]
+    holding = _holding(given, mission, since_ns, frozenset(file.robot for file in found))
+    received = [(order.time_ns, _key(name, order), encode(order)) for order in holding]
+    epoch_ns = None if mission is None else mission.epoch_ns
+    return _Plan(found, fleet, since_ns, until_ns, epoch_ns, received, [*warnings, *said])
 
 
 def _key(fleet: str, order: Order) -> str:
-    """Where operators give such an order."""
+    """The key on which operators give such an order."""
     if isinstance(order, Mission):
         return key_expressions.mission(fleet)
     return key_expressions.stop(fleet) if isinstance(order, Stop) else key_expressions.resume(fleet)
 
 
-def _last_mission(
-    given: Iterable[Order], files: FleetFiles, segments: Sequence[SegmentFile]
-) -> Mission | None:
-    """The last one whose fleet file is in the recordings."""
-    missions = [order for order in given if isinstance(order, Mission)]
-    there_is = {
-        digest: any(each.about.digest == digest for each in segments)
-        and files.ruling(digest, segments) is not None
-        for digest in {mission.digest for mission in missions}
-    }
-    last: Mission | None = None
-    for mission in missions:
-        if there_is[mission.digest] and newer(mission, last):
-            last = mission
-    return last
-
-
 def _window(choice: Choice, mission: Mission | None) -> tuple[int, int, list[str]]:
-    """From when and until when, and what is to be said of it."""
+    """Beginning, end, and warnings about them."""
     if choice.since_ns is not None or choice.until_ns is not None:
         since_ns = 0 if choice.since_ns is None else choice.since_ns
         until_ns = TIME_NS_MAX if choice.until_ns is None else choice.until_ns
         if since_ns >= until_ns:
-            raise MergeError(f"nothing can be {times(since_ns, until_ns)}: the end is before the beginning")
+            raise MergeError(f"nothing can be {_times(since_ns, until_ns)}: the end is before the beginning")
         return since_ns, until_ns, []
     if choice.everything:
         return 0, TIME_NS_MAX, []
@@ -257,8 +218,8 @@ def _window(choice: Choice, mission: Mission | None) -> tuple[int, int, list[str
 def _holding(
     given: Sequence[Order], mission: Mission | None, since_ns: int, robots: frozenset[int]
 ) -> Iterator[Order]:
-    """The orders from `since_ns` on; of those before what belongs to the mission, and a stop that still holds
-    for one of `robots`, with the resumes after it."""
+    """The orders from `since_ns` on; of earlier ones the mission's, and a stop that still holds for one of
+    `robots`, with the resumes after it."""
     earlier = [order for order in given if order.time_ns < since_ns]
     stopped = max((order.version for order in earlier if isinstance(order, Stop)), default=None)
     halted = robots if stopped is not None else frozenset()
@@ -275,12 +236,102 @@ def _holding(
 
 
 def _messages(plan: _Plan, damage: Damage) -> Iterator[Received]:
-    """What robots said, by time, but for fault rules that one robot alone says it held."""
-    robots = {segment.about.robot for segment in plan.segments}
-    every = by_time(plan.segments, plan.since_ns, plan.until_ns, Damage())
-    held = HeldFaults(plan.ruling.fleet.fleet.name, robots, every)
-    for received in by_time(plan.segments, plan.since_ns, plan.until_ns, damage):
+    """The robots' messages by time, without fault rules that one robot alone says it held."""
+    held = HeldFaults(plan.fleet.fleet.name, plan.robots)
+    held.count(by_time(plan.files, plan.since_ns, plan.until_ns, Damage(), held.keys))
+    for received in by_time(plan.files, plan.since_ns, plan.until_ns, damage):
         if (robot := held.made_up_by(*received[1:])) is None:
             yield received
         else:
-            damage.add(robot, 0, 1)
+            damage.foreign[robot] += 1
+
+
+# --- what is missing ------------------------------------------------------------------------------
+
+
+def _missing(plan: _Plan, damage: Damage) -> Iterator[str]:
+    """Sentences about what is missing in the recordings."""
+    for robot in sorted(damage.refused):
+        yield f"robot {robot}'s computer also gave recordings of other robots: they are left out"
+    silent = [robot for robot in plan.fleet.ids if robot not in plan.robots]
+    if silent:
+        yield f"nothing that {'robot' if len(silent) == 1 else 'robots'} {_list(silent)} recorded is here"
+    versions: dict[str, set[int]] = {}
+    recorded: dict[int, list[RobotFile]] = {robot: [] for robot in sorted(plan.robots)}
+    for file in plan.files:
+        recorded[file.robot].append(file)
+        version = printable(file.about.version if file.about else "")[:VERSION_MAX]
+        versions.setdefault(version, set()).add(file.robot)
+    if len(versions) > 1:
+        said = "; ".join(f"{version} on {_list(sorted(versions[version]))}" for version in sorted(versions))
+        yield f"robots had different versions of handfast: {said}"
+    begin_ns, end_ns = _most_recorded(plan)
+    for robot, files in recorded.items():
+        if gaps := _gaps(files, begin_ns, end_ns):
+            spans = [f"{_when(a, plan.epoch_ns)} to {_when(b, plan.epoch_ns)}" for a, b in gaps]
+            more = f" and {len(gaps) - GAPS_SHOWN} times more" if len(gaps) > GAPS_SHOWN else ""
+            yield f"nothing was recorded of robot {robot} from {', '.join(spans[:GAPS_SHOWN])}{more}"
+        yield from _left_out(robot, files, damage, begin_ns, end_ns)
+
+
+def _left_out(
+    robot: int, files: Sequence[RobotFile], damage: Damage, begin_ns: int, end_ns: int
+) -> Iterator[str]:
+    losses = [loss for file in files for loss in file.losses if begin_ns <= loss.before_ns <= end_ns]
+    if lost := sum(loss.messages for loss in losses):
+        yield f"the disk of robot {robot}'s computer did not take {lost} messages"
+    if any(loss.overflow for loss in losses):
+        yield f"robot {robot}'s recorder did not keep up: some messages are missing"
+    if pieces := damage.pieces[robot]:
+        what = "a damaged piece is" if pieces == 1 else f"{pieces} damaged pieces are"
+        yield f"of robot {robot}'s recording {what} left out"
+    if foreign := damage.foreign[robot]:
+        what = "a message is" if foreign == 1 else f"{foreign} messages are"
+        yield f"of robot {robot}'s recording {what} left out that it alone tells of, or cannot"
+
+
+def _most_recorded(plan: _Plan) -> tuple[int, int]:
+    """Beginning and end of the time in which most robots were recorded: one robot's longer recording says
+    nothing of the others."""
+    first: dict[int, int] = {}
+    last: dict[int, int] = {}
+    for file in plan.files:
+        for first_ns, last_ns in file.stretches:
+            if first_ns <= plan.until_ns and last_ns >= plan.since_ns:
+                first[file.robot] = max(min(first_ns, first.get(file.robot, first_ns)), plan.since_ns)
+                last[file.robot] = min(max(last_ns, last.get(file.robot, last_ns)), plan.until_ns)
+    return (median_high(first.values()), median_low(last.values())) if first else (0, 0)
+
+
+def _gaps(files: Sequence[RobotFile], begin_ns: int, end_ns: int) -> list[tuple[int, int]]:
+    """Times (from, to) of at least `GAP_NS` in which nothing is recorded."""
+    gaps = []
+    reached_ns = begin_ns
+    for first_ns, last_ns in sorted(stretch for file in files for stretch in file.stretches):
+        if min(first_ns, end_ns) - reached_ns >= GAP_NS:
+            gaps.append((reached_ns, min(first_ns, end_ns)))
+        reached_ns = max(reached_ns, last_ns)
+    return [*gaps, (reached_ns, end_ns)] if end_ns - reached_ns >= GAP_NS else gaps
+
+
+def _when(at_ns: int, epoch_ns: int | None) -> str:
+    """Fleet time, or the wall clock where there is no epoch."""
+    return _clock(at_ns) if epoch_ns is None else f"{(at_ns - epoch_ns) / NS_PER_S:.1f} s"
+
+
+def _times(since_ns: int, until_ns: int) -> str:
+    """A time in words; "at all" for all times."""
+    words = [f"from {_clock(since_ns)}"] if since_ns > 0 else []
+    words += [f"until {_clock(until_ns)}"] if until_ns < TIME_NS_MAX else []
+    return " ".join(words) or "at all"
+
+
+def _clock(at_ns: int) -> str:
+    try:
+        return f"{datetime.fromtimestamp(at_ns // NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError, OSError):
+        return f"{at_ns} ns"
+
+
+def _list(robots: Sequence[int]) -> str:
+    return ", ".join(map(str, robots))

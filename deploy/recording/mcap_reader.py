@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import replace
+from itertools import repeat
 from math import inf
+from operator import itemgetter
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -24,10 +26,11 @@ from handfast.agent.fleet.loading import load_fleet, parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.types import CLASSES
 from handfast.agent.messages.types import Message as BusMessage
+from handfast.agent.recorder.message_file import FLEET_ATTACHMENT, RUN_METADATA
+from handfast.agent.recorder.message_json import reader, schema_name
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.recording.mcap_records import MAGIC, Lost, Records, parsed, records_in
-from handfast.deploy.recording.message_json import reader, schema_name
-from handfast.deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
+from handfast.deploy.recording.recorder import OUTCOME_METADATA, RecordingError
 from handfast.deploy.recording.recording import Damage, Recording
 from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
 
@@ -35,11 +38,22 @@ _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish
 _READERS: Final = {schema_name(cls): reader(cls) for cls in CLASSES}
 
 
-class _File:
-    """The contents of one MCAP file, channel by channel."""
+class McapFile:
+    """The contents of one MCAP file.
 
-    def __init__(self, path: Path) -> None:
+    Args:
+        wants: False for a chunk whose messages are skipped.
+        keys: channels of other keys are skipped; None for none.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        wants: Callable[[Chunk], bool] = lambda chunk: True,
+        keys: Container[str] | None = None,
+    ) -> None:
         self.path = path
+        self._wants, self._keys = wants, keys
         self.metadata: dict[str, dict[str, str]] = {}
         self.fleet_toml: str | None = None
         self._records: Records | None = None
@@ -51,7 +65,7 @@ class _File:
         self._channels: dict[int, tuple[str, Callable[[dict[str, Any]], BusMessage]] | None] = {}
 
     def read(self) -> Iterator[tuple[int, str, BusMessage]]:
-        """(reception time ns, key, message) of every message of ours, chunk by chunk, channel by channel."""
+        """(reception time ns, key, message) of every message of ours, chunk by chunk, by reception."""
         try:
             with open(self.path, "rb") as stream:
                 records = self._records = Records(stream)
@@ -64,6 +78,11 @@ class _File:
             raise RecordingError(f"cannot read {self.path}: {error.strerror or error}") from error
         if magic != MAGIC and not records.damaged:
             raise RecordingError(f"{self.path} is not an MCAP file; a recording of handfast was expected")
+
+    @property
+    def lost(self) -> list[Lost]:
+        """Lost parts, after `read` has ended."""
+        return [] if self._records is None else self._records.lost
 
     @property
     def is_damaged(self) -> bool:
@@ -109,23 +128,25 @@ class _File:
 
     def _record(self, record: McapRecord) -> Iterator[tuple[int, str, BusMessage]]:
         if isinstance(record, Chunk):
-            yield from self._inside(record.data)
+            yield from self._inside(record.data, self._wants(record))
         elif isinstance(record, Message):  # a file without chunks
             builder = RecordBuilder()
             record.write(builder)
             yield from self._inside(builder.end())
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
-        elif isinstance(record, Attachment) and record.name == FLEET_FILE:
+        elif isinstance(record, Attachment) and record.name == FLEET_ATTACHMENT:
             self.fleet_toml = record.data.decode(errors="replace")
         else:
             self._define(record)
 
-    def _inside(self, data: bytes) -> Iterator[tuple[int, str, BusMessage]]:
+    def _inside(self, data: bytes, wanted: bool = True) -> list[tuple[int, str, BusMessage]]:
         times: dict[int, list[int]] = {}
         texts: dict[int, list[bytes]] = {}
         for opcode, content in records_in(data):
             if opcode == Opcode.MESSAGE:
+                if not wanted:
+                    continue
                 channel, _, log_ns, _ = _MESSAGE.unpack_from(content)
                 if channel not in self._channels and self.is_damaged:
                     self._look_up(channel)
@@ -134,6 +155,7 @@ class _File:
                     texts.setdefault(channel, []).append(content[_MESSAGE.size :])
             else:
                 self._define(parsed(opcode, content))
+        found: list[tuple[int, str, BusMessage]] = []
         for channel, log_times in times.items():
             entry = self._channels[channel]
             assert entry is not None
@@ -149,8 +171,8 @@ class _File:
             if len(messages) != len(log_times):
                 raise RecordingError(f"{self.path}: channel {key} holds what is not a message of handfast")
             self._last_ns = max(self._last_ns, *log_times)
-            for log_ns, message in zip(log_times, messages, strict=True):
-                yield log_ns, key, message
+            found += zip(log_times, repeat(key), messages, strict=False)
+        return sorted(found, key=itemgetter(0))
 
     def _look_up(self, channel: int) -> None:
         """Finds at the file's end what a channel is that was introduced in a damaged part."""
@@ -173,6 +195,7 @@ class _File:
         name = self._schemas.get(channel.schema_id, "")
         # Raw payloads (no schema), what is derived and schemas of a later version are not ours to read.
         known = channel.message_encoding == "json" and name in _READERS
+        known = known and (self._keys is None or channel.topic in self._keys)
         self._channels[channel.id] = (channel.topic, _READERS[name]) if known else None
 
 
@@ -214,7 +237,7 @@ def read_mcap(path: str | PathLike[str], fleet_path: str | PathLike[str] | None 
         RecordingError, FleetError: as `read_run`.
     """
     path = Path(path)
-    file = _File(path)
+    file = McapFile(path)
     messages = file.read()
     first = next(messages, None)
     if RUN_METADATA not in file.metadata and first is None:
@@ -240,7 +263,7 @@ def read_mcap(path: str | PathLike[str], fleet_path: str | PathLike[str] | None 
     return replace(recording, damage=tuple(file.damage(data.begun_ns)))
 
 
-def _outcome(file: _File) -> tuple[list[str], bool, list[str]]:
+def _outcome(file: McapFile) -> tuple[list[str], bool, list[str]]:
     """What only the operator knew of the run's end: reasons, whether it was interrupted, warnings."""
     outcome = file.metadata.get(OUTCOME_METADATA, {})
     try:
@@ -258,11 +281,11 @@ def _seed(run: dict[str, str]) -> int | None:
     return int(text) if text.removeprefix("-").isdecimal() else None
 
 
-def _fleet(file: _File, fleet_path: Path | None) -> tuple[Fleet, str]:
+def _fleet(file: McapFile, fleet_path: Path | None) -> tuple[Fleet, str]:
     """The fleet and its file's text: from the run's folder, else from inside the recording."""
     if fleet_path is not None and fleet_path.is_file():
         return load_fleet(fleet_path, recorded=True), fleet_path.read_text("utf-8-sig")
     if file.fleet_toml is None:
         raise RecordingError(f"{file.path} holds no fleet file, and there is none beside it")
-    source = f"{FLEET_FILE} inside {file.path}"
+    source = f"{FLEET_ATTACHMENT} inside {file.path}"
     return parse_fleet(file.fleet_toml, source=source, recorded=True), file.fleet_toml

@@ -95,6 +95,11 @@ class RunFolder:
             self._data.feed(received_ns, key, message)
         return message
 
+    def record_message(self, received_ns: int, key: str, message: Message) -> None:
+        """Records a message that is decoded already."""
+        self._recorder.record_message(received_ns, key, message)
+        self._data.feed(received_ns, key, message)
+
     def close(
         self, reasons: Sequence[str] = (), *, interrupted: bool = False, warnings: Sequence[str] = ()
     ) -> None:

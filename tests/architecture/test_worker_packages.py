@@ -97,8 +97,8 @@ def test_a_worker_is_asked_for_what_runs_import() -> None:
 def test_the_extra_cluster_brings_what_runs_import() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    assert "handfast[security]" in extras["cluster"]
-    brought = names([*project["dependencies"], *extras["cluster"], *extras["security"]])
+    assert "handfast[recorder,security]" in extras["cluster"]
+    brought = names([*project["dependencies"], *extras["cluster"], *extras["recorder"], *extras["security"]])
     assert {distribution(name) for name in needed()} <= brought
 
 

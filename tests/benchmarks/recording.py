@@ -16,8 +16,9 @@ from statistics import median
 from typing import Final
 
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.recorder.segment_folder import segment_paths
-from handfast.agent.recorder.segments import MESSAGES, Segment
+from handfast.agent.messages.codec import encode
+from handfast.agent.recorder.folder import recording_files
+from handfast.deploy.recording.mcap_reader import McapFile
 from tests.benchmarks.driven_fleet import driving
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
 from tests.benchmarks.processes import ROLES, Group, Observer, cpu_s, mean, pss_mb
@@ -123,17 +124,14 @@ def _cpu(robots: Group, recorders: Group) -> dict[str, float]:
 
 def _stored(fleet: Fleet, recordings: Path) -> int:
     folders = [recordings / str(robot) for robot in fleet.ids]
-    return sum(path.stat().st_size for each in folders if each.is_dir() for path in segment_paths(each))
+    return sum(path.stat().st_size for each in folders if each.is_dir() for path in recording_files(each))
 
 
 def _read(found: _Found, fleet: Fleet, recordings: Path) -> None:
     """Bytes of keys and payloads to bytes on the disk, and messages a second, of each robot."""
     for robot in fleet.ids:
-        for path in segment_paths(recordings / str(robot)):
-            with open(path, "rb") as stream:
-                segment = Segment(stream)
-                blocks = [block for block in segment.blocks() if block.kind == MESSAGES]
-                received = [each for block in blocks for each in segment.messages(block)]
-            heard = sum(len(key) + len(payload) for _, key, payload in received)
+        for path in recording_files(recordings / str(robot)):
+            received = list(McapFile(path).read())
+            heard = sum(len(key) + len(encode(message)) for _, key, message in received)
             found.heard.append(heard / path.stat().st_size)
             found.messages.append(len(received) / (received[-1][0] - received[0][0]) * 1e9)

@@ -17,9 +17,9 @@ from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Mission, Stop
-from handfast.agent.recorder.segment_folder import segment_paths
-from handfast.agent.recorder.segments import ORDERS, about_block, message_block
-from handfast.deploy.merging.robot_recording import about_of
+from handfast.agent.recorder.folder import RecordingFolder, recording_files
+from handfast.agent.recorder.recorder import RobotRecorder, order_keys
+from handfast.deploy.merging.robot_files import scan
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
@@ -90,7 +90,7 @@ def test_what_one_host_makes_up_changes_nothing_for_the_others(fleet: FleetOnHos
     before, _ = fetched(fleet, tmp_path / "before")
     host = fleet.host_of(LIAR)
     folder = host.home / f".local/share/handfast/fleets/three/recordings/robot-{LIAR}"
-    about = about_of(segment_paths(folder)[-1])
+    about = scan(recording_files(folder)[-1]).about
     assert about is not None
     other = tomllib.loads(about.fleet_toml) | {"trajectory": {"kind": "line", "velocity_mps": [1.0, 0.0]}}
     their = resolved(parse_fleet(tomli_w.dumps(other), source="made up"))
@@ -101,12 +101,14 @@ def test_what_one_host_makes_up_changes_nothing_for_the_others(fleet: FleetOnHos
         (epoch_ns + 2, told, encode(mission)),
         (epoch_ns + 3, told, encode(Stop(10**9, epoch_ns + 3, "made up"))),
     ]
-    honest_digest = about._replace(number=10**7)
-    other_file = honest_digest._replace(digest=digest(their), fleet_toml=tomli_w.dumps(to_dict(their)))
-    broken = honest_digest._replace(fleet_toml="[fleet")
-    for number, lie in enumerate((honest_digest, other_file, broken), 10**7):
-        block = about_block(lie) + message_block(lies, flags=ORDERS)
-        (folder / f"{number}-bbbbbbbb.segment").write_bytes(block)
+    other_file = about._replace(digest=digest(their), fleet_toml=tomli_w.dumps(to_dict(their)))
+    broken = about._replace(fleet_toml="[fleet")
+    with RecordingFolder(folder, 1_000_000_000, 0) as files:
+        for lie in (about, other_file, broken):
+            with RobotRecorder(files, lie, order_keys("three", LIAR), (), print) as recorder:
+                for each in lies:
+                    recorder.add(*each)
+                recorder.end_file(epoch_ns)
     after, said = fetched(fleet, tmp_path / "after")
     assert f"what robot {LIAR} recorded (host2) is left out: it ran another fleet file" in said
     assert (

@@ -142,7 +142,7 @@ def test_it_drives_and_what_processes_keep_is_there(fleet: FleetOnHosts) -> None
             f"robot-{robot}-agent.json", f"robot-{robot}-plant.json"
         }  # fmt: skip
         assert (there / f"state/robot-{robot}.pose").exists()
-        assert list((there / f"recordings/robot-{robot}").glob("*.segment"))
+        assert list((there / f"recordings/robot-{robot}").glob("*.mcap"))
     fleet.handfast("fetch", "--out", "fetched", "--no-report")
     fleet.handfast("down")
 

@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 
@@ -17,9 +16,9 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.recorder.segment_folder import segment_paths
-from handfast.agent.recorder.segments import MESSAGES, Received, Segment
-from handfast.deploy.merging.merge import merge
+from handfast.agent.recorder.folder import recording_files
+from handfast.deploy.merging.merge import Choice, merge
+from handfast.deploy.recording.mcap_reader import McapFile
 from handfast.deploy.report.run_folder import RunFolder, rebuild
 from tests.process.fleet_harness import Heard, Robots, make_fleet, placed
 from tests.process.harness import PATIENCE_S, measured, no_trouble_in_logs, wait_for
@@ -65,20 +64,21 @@ class Recorded(Robots):
             robot, RECORDER, "handfast.agent.recorder", *arguments, "--folder", str(self.recording(robot))
         )
 
-    def recorded(self, robot: int) -> list[Received]:
-        """All that is on the disk of a robot's computer now."""
-        found = []
-        for path in segment_paths(self.recording(robot)) if self.recording(robot).exists() else []:
-            segment = Segment(BytesIO(path.read_bytes()))
-            found += [each for b in segment.blocks() if b.kind == MESSAGES for each in segment.messages(b)]
-        return found
+    def recorded(self, robot: int) -> list[tuple[int, str]]:
+        """Reception and key of all that is on the disk of a robot's computer now."""
+        folder = self.recording(robot)
+        return [
+            (at_ns, key)
+            for path in (recording_files(folder) if folder.exists() else [])
+            for at_ns, key, _ in McapFile(path).read()
+        ]
 
     def wait_until_recorded(self, robot: int, from_ns: int = 0) -> None:
         """Until the disk has something of both of a robot's processes that came after `from_ns`."""
         wanted = {key_expressions.status(self.name, robot), key_expressions.plant_state(self.name, robot)}
 
         def look() -> bool:
-            return wanted <= {key for at_ns, key, _ in self.recorded(robot) if at_ns > from_ns}
+            return wanted <= {key for at_ns, key in self.recorded(robot) if at_ns > from_ns}
 
         self.wait(look, f"robot {robot} recorded")
 
@@ -114,7 +114,11 @@ def test_a_drive_is_recorded_and_a_killed_recorder_loses_a_second(tmp_path: Path
         assert "ending (SIGTERM)" in robots.log(1, RECORDER).read_text()
 
         own = robots.run_folder.finish(report=False).metrics
-        found = merge({robot: robots.recording(robot) for robot in robots.fleet.ids}, tmp_path / "merged")
+        found = merge(
+            {robot: robots.recording(robot) for robot in robots.fleet.ids},
+            tmp_path / "merged",
+            Choice(robots.name),
+        )
     assert found.robots == robots.fleet.ids
     assert all(warning.startswith("nothing was recorded of robot 2 from") for warning in found.warnings)
     assert len(found.warnings) <= 1

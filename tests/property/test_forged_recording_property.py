@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,15 +36,8 @@ from handfast.agent.messages.types import (
     Status,
     Stop,
 )
-from handfast.agent.recorder.segments import (
-    KNOWN,
-    MESSAGES,
-    ORDERS,
-    About,
-    Received,
-    about_block,
-    message_block,
-)
+from handfast.agent.recorder.folder import RecordingFolder
+from handfast.agent.recorder.recorder import About, Received, RobotRecorder, order_keys
 from handfast.agent.security.identity import of_operator
 from handfast.agent.security.sealed_order import Opener, Sealer
 from handfast.deploy.merging.merge import Choice, Known, Merged, merge
@@ -62,18 +55,17 @@ HONEST = tuple(robot for robot in IDS if robot != LIAR)
 TOML = tomli_w.dumps(to_dict(FLEET))
 MISSION = Mission(1, EPOCH_NS - NS_PER_S // 2, EPOCH_NS, 5 * NS_PER_S, digest(FLEET))
 STOP = Stop(3, EPOCH_NS + 4 * NS_PER_S, "that is enough")
-ABOUT = About(NAME, digest(FLEET), 0, "0.1.0", "boot", 1, EPOCH_NS - NS_PER_S, TOML)
+ABOUT = About(NAME, digest(FLEET), 0, "0.1.0", TOML)
 TIMES = st.integers(EPOCH_NS - 10 * NS_PER_S, EPOCH_NS + 20 * NS_PER_S) | st.integers(0, TIME_NS_MAX)
 
 
 @dataclass(frozen=True)
 class Given:
-    """One block of a segment, or the first one (without messages)."""
+    """A recording: whose it is, orders from before, messages, and how many are said to be lost."""
 
-    about: About | None = None
+    about: About
     received: tuple[Received, ...] = ()
-    kind: int = MESSAGES
-    flags: int = 0
+    known: tuple[Received, ...] = ()
     lost: int = 0
 
 
@@ -84,15 +76,12 @@ class Scene:
     orders: tuple[bytes, ...]
     known: Known
 
-    def honest(self, robot: int) -> list[Given]:
+    def honest(self, robot: int) -> Given:
         told = [
             (time_ns + NS_PER_S // 100, key_expressions.relayed(NAME, robot), payload)
             for time_ns, payload in zip((MISSION.time_ns, STOP.time_ns), self.orders, strict=True)
         ]
-        return [
-            Given(about=ABOUT._replace(robot=robot)),
-            Given(received=tuple(sorted([*told, *said(robot)])), flags=ORDERS),
-        ]
+        return Given(ABOUT._replace(robot=robot), tuple(sorted([*told, *said(robot)])))
 
 
 def said(robot: int) -> Iterator[Received]:
@@ -172,8 +161,8 @@ def credible(draw: st.DrawFn) -> Received:
 
 
 @st.composite
-def forged(draw: st.DrawFn, honest: Sequence[Given]) -> list[Given]:
-    """A recording of robot 2 of which any record may be any other."""
+def forged(draw: st.DrawFn, honest: Given) -> Given:
+    """A recording of robot 2 in which anything may be anything else."""
     about = ABOUT._replace(robot=LIAR)
     lie: dict[str, Any] = draw(
         st.just({})
@@ -184,9 +173,6 @@ def forged(draw: st.DrawFn, honest: Sequence[Given]) -> list[Given]:
                 "digest": st.sampled_from([digest(FLEET), digest(OTHER), "", "x" * 99]),
                 "robot": st.sampled_from([*IDS, 0, -1]),
                 "version": st.text(max_size=30),
-                "boot": st.text(max_size=30),
-                "number": st.integers(0, 2**63 - 1),
-                "begun_ns": st.integers(0, 2**63 - 1),
                 "fleet_toml": st.sampled_from(
                     [
                         tomli_w.dumps(to_dict(OTHER)), "", "[", "x" * 10_000,
@@ -198,31 +184,28 @@ def forged(draw: st.DrawFn, honest: Sequence[Given]) -> list[Given]:
             },
         )
     )  # fmt: skip
-    blocks = [Given(about=about._replace(**lie))]
-    for _ in range(draw(st.integers(0, 3))):
-        received = draw(st.lists(forged_message() | credible(), min_size=1, max_size=12))
-        kind, flags = draw(st.sampled_from([MESSAGES, KNOWN])), draw(st.sampled_from([ORDERS, 0, 3]))
-        blocks.append(Given(None, tuple(received), kind, flags, draw(st.integers(0, 2**32 - 1))))
+    lies = st.lists(forged_message() | credible(), max_size=30)
+    received, known = draw(lies), draw(lies)
     if draw(st.booleans()):
-        blocks += [replace(each, received=each.received[draw(st.integers(0, 50)) :]) for each in honest[1:]]
-    return blocks
+        received += honest.received[draw(st.integers(0, 50)) :]
+    received.sort(key=lambda one: one[0])
+    return Given(about._replace(**lie), tuple(received), tuple(known), draw(st.integers(0, 2**32 - 1)))
 
 
-def write(folder: Path, blocks: Sequence[Given]) -> Path:
-    folder.mkdir(parents=True)
-    data = [
-        about_block(each.about)
-        if each.about is not None
-        else message_block(
-            sorted(each.received, key=lambda one: one[0]), kind=each.kind, flags=each.flags, lost=each.lost
-        )
-        for each in blocks
-    ]
-    (folder / "00000001-aaaaaaaa.segment").write_bytes(b"".join(data))
+def write(folder: Path, given: Given) -> Path:
+    keys = order_keys(NAME, given.about.robot) | order_keys(NAME, LIAR)
+    with (
+        RecordingFolder(folder, 10**9, 0) as files,
+        RobotRecorder(files, given.about, keys, given.known, lambda _: None) as recorder,
+    ):
+        recorder.lost = given.lost
+        for each in given.received:
+            recorder.add(*each)
+        recorder.end_file(EPOCH_NS)
     return folder
 
 
-def merged(folder: Path, scene: Scene, of_liar: Sequence[Given]) -> Merged:
+def merged(folder: Path, scene: Scene, of_liar: Given) -> Merged:
     folders = {
         robot: write(folder / f"robot-{robot}", of_liar if robot == LIAR else scene.honest(robot))
         for robot in IDS

@@ -51,7 +51,7 @@ def _fetch(options: argparse.Namespace) -> int:
     from handfast.deploy.inventory.folders import out_folder, refuse_full
     from handfast.deploy.inventory.hosts import hosts_of, located
     from handfast.deploy.merging.merge import Choice, Known, merge
-    from handfast.deploy.merging.robot_recording import MergeError
+    from handfast.deploy.merging.robot_files import MergeError
     from handfast.deploy.recording.recorder import RecordingError
     from handfast.deploy.report.run_folder import FolderError
     from handfast.deploy.session.sealing import order_opener

@@ -11,7 +11,7 @@ from handfast.agent.messages.declaration import FLOAT_MAX, REQUIRED, About, decl
 from handfast.agent.messages.fast_path import taker
 from handfast.agent.messages.types import CLASSES, HandState, LinkTrace, Multiplier
 from handfast.agent.messages.validation import Malformed, examined
-from handfast.deploy.recording.message_json import reader, schema, to_json
+from handfast.agent.recorder.message_json import reader, schema, to_json
 
 
 class Wind(NamedTuple):

@@ -27,7 +27,7 @@ HOST = FLEET.hosts[0]
 
 
 def name(number: int, mark: str = "aaaaaaaa") -> str:
-    return f"{number:08d}-{mark}.segment"
+    return f"{number:08d}-{mark}.mcap"
 
 
 class There:
@@ -42,7 +42,7 @@ class There:
         self.sent = 0
 
     def ask(self, what: str, *, folder: str, pattern: str, most: int, answer_bytes: int) -> Any:
-        assert (what, folder, pattern) == ("listing", "fleets/two/recordings/robot-1", "*.segment")
+        assert (what, folder, pattern) == ("listing", "fleets/two/recordings/robot-1", "*.mcap")
         assert (most, answer_bytes) == (FILES_MAX, FILES_MAX * NAME_BYTES)
         return self.listing()
 
@@ -98,8 +98,8 @@ def test_only_what_is_new_enough_is_brought(cache: Path) -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    ["/tmp/evil.segment", "../00000001-aaaaaaaa.segment", ".bashrc", "x/00000001-aaaaaaaa.segment", "",
-     "00000001-aaaaaaaa.segment\n", "\u0661" * 8 + "-aaaaaaaa.segment"],
+    ["/tmp/evil.mcap", "../00000001-aaaaaaaa.mcap", ".bashrc", "x/00000001-aaaaaaaa.mcap", "",
+     "00000001-aaaaaaaa.mcap\n", "\u0661" * 8 + "-aaaaaaaa.mcap"],
 )  # fmt: skip
 def test_a_host_does_not_choose_where_files_are_written(cache: Path, bad: str) -> None:
     there = There(**{name(1): b"one", bad.rpartition("/")[2]: b"evil"})

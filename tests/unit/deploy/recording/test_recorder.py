@@ -33,19 +33,13 @@ from handfast.agent.messages.types import (
     Status,
     Wrench,
 )
+from handfast.agent.recorder.message_file import CHANNELS_MAX, RUN_METADATA
+from handfast.agent.recorder.message_json import reader, schema, to_json
 from handfast.deploy.recording.foxglove.channels import Channels
 from handfast.deploy.recording.foxglove.schemas import SCHEMAS
 from handfast.deploy.recording.mcap_reader import read_mcap
 from handfast.deploy.recording.mcap_records import MAGIC
-from handfast.deploy.recording.message_json import reader, schema, to_json
-from handfast.deploy.recording.recorder import (
-    CHANNELS_MAX,
-    FLUSH_PERIOD_NS,
-    OUTCOME_METADATA,
-    RUN_METADATA,
-    Recorder,
-    RecordingError,
-)
+from handfast.deploy.recording.recorder import FLUSH_PERIOD_NS, OUTCOME_METADATA, Recorder, RecordingError
 from handfast.deploy.recording.run_files import FLEET_FILE
 from tests.declared_messages import messages_of
 from tests.unit.deploy.synthetic_run import (

@@ -38,10 +38,10 @@ from handfast.agent.messages.types import (
     Stop,
     Wrench,
 )
+from handfast.agent.recorder.message_json import to_json
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.recording.mcap_reader import read_mcap, read_run
 from handfast.deploy.recording.mcap_records import MAGIC
-from handfast.deploy.recording.message_json import to_json
 from handfast.deploy.recording.recorder import Recorder, RecordingError
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.tables import Table

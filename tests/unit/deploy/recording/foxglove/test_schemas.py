@@ -8,8 +8,8 @@ import foxglove.messages
 import pytest
 
 from handfast.agent.messages.types import CLASSES
+from handfast.agent.recorder.message_json import schema_name
 from handfast.deploy.recording.foxglove.schemas import SCHEMAS, TOPICS
-from handfast.deploy.recording.message_json import schema_name
 
 
 def test_every_topic_has_a_schema_of_its_name_and_every_schema_a_topic() -> None:

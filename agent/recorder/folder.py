@@ -1,7 +1,7 @@
-"""The folder in which a robot's computer keeps its recording: segments of limited size, the newest of them.
+"""The folder in which a robot's computer keeps its recording: MCAP files of limited size, the newest ones.
 
-What `append` has returned from is on the disk, whatever happens to the computer after it. All segments
-together never take more than their share, and the disk is never filled.
+Data is on the disk when `append` returns, whatever happens to the computer afterwards. All files together
+never take more than their share, and the disk is never filled.
 """
 
 from __future__ import annotations
@@ -11,26 +11,24 @@ import fcntl
 import os
 import re
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-SEGMENT_BYTES_MAX: Final = 8_000_000
-"""A segment that would grow beyond this is complete."""
-SEGMENTS_MIN: Final = 4
-"""So many segments make a full folder at least: the oldest goes as a whole."""
+FILE_BYTES: Final = 8_000_000
+"""Size at which a file is full."""
+FILES_MIN: Final = 4
+"""Minimum number of files in a full folder: the oldest is deleted as a whole."""
 RESERVE_BYTES: Final = 200_000_000
-"""What stays free on the disk for everything else on that computer."""
+"""Space that stays free on the disk for everything else on that computer."""
 LOCK_NAME: Final = "lock"
 """File in the folder that its one recorder has locked."""
-SEGMENT_NAME: Final = re.compile(r"([0-9]{8,18})-[0-9a-f]{8}\.segment")
-"""Number of the segment, and what tells it from one of the same number in a folder that was emptied: whoever
-has a copy of it can count on its only growing."""
+FILE_NAME: Final = re.compile(r"([0-9]{8,18})-[0-9a-f]{8}\.mcap")
+"""Number of the file, and a random mark: a file of the same name is the same file, perhaps grown."""
 _HELD: Final = (errno.EWOULDBLOCK, errno.EACCES)
 PASSING: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
-"""Errors of a disk: it may be better later. Any other, such as a folder of somebody else's, stays."""
+"""Errors of a disk that may pass. All others are permanent, such as a folder that belongs to another user."""
 
 _to_disk: Final = getattr(os, "fdatasync", os.fsync)  # macOS has none
 
@@ -39,8 +37,8 @@ class FolderInUseError(RuntimeError):
     """Another process records into the folder; the text is one clear message."""
 
 
-def segment_paths(folder: Path) -> list[Path]:
-    """The segments in a folder, the oldest first.
+def recording_files(folder: Path) -> list[Path]:
+    """The files of a recording, the oldest first.
 
     Raises:
         OSError: it cannot be listed.
@@ -49,9 +47,7 @@ def segment_paths(folder: Path) -> list[Path]:
 
 
 def _numbered(folder: Path) -> list[tuple[int, Path]]:
-    return [
-        (int(match[1]), path) for path in folder.iterdir() if (match := SEGMENT_NAME.fullmatch(path.name))
-    ]
+    return [(int(match[1]), path) for path in folder.iterdir() if (match := FILE_NAME.fullmatch(path.name))]
 
 
 def _size(path: Path) -> int | None:
@@ -61,13 +57,13 @@ def _size(path: Path) -> int | None:
     return None
 
 
-class SegmentFolder:
-    """Appends blocks to the newest segment of a folder. A context manager; nobody else may while it lives.
+class RecordingFolder:
+    """Appends data to the newest file of a folder. A context manager that keeps other recorders out.
 
     Args:
         path: made if need be.
-        bytes_max: what all segments together may take.
-        reserve_bytes: what stays free on the disk.
+        bytes_max: maximum size of all files together.
+        reserve_bytes: space that stays free on the disk.
 
     Raises:
         FolderInUseError: another process records there.
@@ -77,11 +73,11 @@ class SegmentFolder:
     def __init__(self, path: Path, bytes_max: int, reserve_bytes: int = RESERVE_BYTES) -> None:
         self.path: Final = path
         self._bytes_max, self._reserve_bytes = bytes_max, reserve_bytes
-        self._segment_bytes_max = min(SEGMENT_BYTES_MAX, bytes_max // SEGMENTS_MIN)
+        self._file_bytes = min(FILE_BYTES, bytes_max // FILES_MIN)
         path.mkdir(parents=True, exist_ok=True)
         self._lock = os.open(path / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         self._file: int | None = None
-        """The newest segment, None when the next block begins another."""
+        """The newest file; None when the next data begin another."""
         self._size = 0
         self._newest = path
         try:
@@ -93,7 +89,7 @@ class SegmentFolder:
                 raise FolderInUseError(f"{path}: another process is recording there") from None
             there = sorted(_numbered(path))
             self._closed = deque((each, size) for _, each in there if (size := _size(each)) is not None)
-            """Segments that are complete and their sizes, the oldest first."""
+            """Complete files and their sizes, the oldest first."""
             self._next = 1 + max((number for number, _ in there), default=0)
             self._mark = os.urandom(4).hex()
             with suppress(PermissionError):
@@ -111,45 +107,51 @@ class SegmentFolder:
         self.close()
 
     def close(self) -> None:
-        """Completes the newest segment and unlocks the folder."""
-        self.end_segment()
+        """End the newest file and unlock the folder."""
+        self.end_file()
         os.close(self._lock)
 
     @property
     def total_bytes(self) -> int:
-        """What all segments take."""
+        """Size of all files."""
         return sum(size for _, size in self._closed) + self._size
 
-    def end_segment(self) -> None:
-        """Completes the newest segment: the next block begins another."""
+    def is_full_with(self, size: int) -> bool:
+        """Return True if the newest file should end after `size` more bytes."""
+        return self._size + size >= self._file_bytes
+
+    def end_file(self) -> None:
+        """End the newest file: the next data begin another."""
         if self._file is not None:
             self._closed.append((self._newest, self._size))
             file, self._file, self._size = self._file, None, 0
             with suppress(OSError):  # the descriptor is gone all the same, and all is on the disk
                 os.close(file)
 
-    def append(self, block: bytes, first: Callable[[int], bytes]) -> None:
-        """Puts a block on the disk; removes the oldest segments for it.
+    def append(self, data: bytes, *, begins: bool = False, ends: bool = False) -> None:
+        """Write data to the disk; delete the oldest files to make room.
 
         Args:
-            first: the first block of a segment, from its number.
+            begins: a file begins with them.
+            ends: the file ends after them.
 
         Raises:
-            OSError: the disk does not take it, or has too little room left. The segment ends before it.
+            OSError: the disk does not take it, or has too little room left. The file ends before it.
         """
-        if self._file is not None and self._size + len(block) > self._segment_bytes_max:
-            self.end_segment()
+        if begins:
+            self.end_file()
         try:
+            self._make_room(len(data))
             if self._file is None:
-                data = first(self._next) + block
-                self._make_room(len(data))
                 self._begin(data)
             else:
-                self._make_room(len(block))
-                self._go_on(self._file, block)
+                self._go_on(self._file, data)
         except OSError:
-            self.end_segment()
+            ends = True
             raise
+        finally:
+            if ends:
+                self.end_file()
 
     def _make_room(self, size: int) -> None:
         while self._closed and self.total_bytes + size > self._bytes_max:
@@ -164,7 +166,7 @@ class SegmentFolder:
             raise OSError(errno.ENOSPC, about)
 
     def _begin(self, data: bytes) -> None:
-        path = self.path / f"{self._next:08d}-{self._mark}.segment"
+        path = self.path / f"{self._next:08d}-{self._mark}.mcap"
         self._next += 1  # whatever becomes of it: one that cannot be removed is not in the way
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
         try:
@@ -183,7 +185,7 @@ class SegmentFolder:
             _write(file, data)
             _to_disk(file)
         except BaseException:
-            # Where this fails too, a piece of a block stays: at the end of a segment it harms nobody.
+            # Where this fails too, a piece stays at the end of the file: readers leave it out.
             with suppress(OSError):
                 os.ftruncate(file, self._size)
             raise
