@@ -75,13 +75,17 @@ class Port:
 
 
 class World:
-    """A rover and its ports; time that only `advance` lets pass."""
+    """A rover and its ports; time that only `advance` lets pass.
+
+    As ArduPilot does, it passes heartbeats on to the other ports.
+    """
 
     def __init__(self, settings: Settings) -> None:
         self.now_ns = START_NS
         self.rover = Rover(settings, START_NS)
         self.to_rover: deque[tuple[int, int, bytes]] = deque()
         self.ports = [Port(self, number) for number in range(settings.ports)]
+        self._parsers = [mavlink.MAVLink(None) for _ in self.ports]
 
     def advance(self, now_ns: int) -> None:
         while self.now_ns < now_ns:
@@ -89,9 +93,20 @@ class World:
             while self.to_rover and self.to_rover[0][0] <= self.now_ns:
                 _, number, data = self.to_rover.popleft()
                 self.rover.receive(number, data, self.now_ns)
+                if len(self.ports) > 1:
+                    self._pass_on(number, data)
             for number, data in self.rover.advance(self.now_ns):
                 if not self.ports[number].cut:
                     self.ports[number].arriving.append((self.now_ns + LATENCY_NS, data))
+
+    def _pass_on(self, number: int, data: bytes) -> None:
+        parser = self._parsers[number]
+        parser.robust_parsing = True
+        for message in parser.parse_buffer(data) or ():
+            if message.get_type() == "HEARTBEAT":
+                for port in self.ports:
+                    if port is not self.ports[number] and not port.cut:
+                        port.arriving.append((self.now_ns + LATENCY_NS, bytes(message.get_msgbuf())))
 
 
 class Bridge:

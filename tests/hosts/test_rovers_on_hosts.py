@@ -33,7 +33,7 @@ from tests.process.harness import measured, wait_for
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
 HAND_OVER: Final = Path(__file__).with_name("hand_over.py")
-FORGET: Final = Path(__file__).with_name("forget_exclusive.py")
+CABLE: Final = Path(__file__).parents[1] / "rover_serial.py"
 PORT: Final = "/dev/shm/serial0"
 """Where each host has its own files below /dev: all of them have their vehicle at the same name."""
 NAME: Final = "rovers_on_hosts"
@@ -83,14 +83,21 @@ class Rovers(FleetOnHosts):
         host, settings = self.host_of(robot), settings_of(self.read, robot)
         python, at = self.python(host), settings.home
         words = [
-            *(python, "-P", "-m", "handfast.bridges.mavlink.simulator", f"--listen=serial:{PORT}:921600"),
+            *(python, "-P", "-m", "handfast.bridges.mavlink.simulator", "--listen=tcp:127.0.0.1:5760"),
             *("--listen=tcp:127.0.0.1:5762", "--warm", *more),
             f"--system={settings.system}",
             f"--home={at.latitude_deg:.9f},{at.longitude_deg:.9f},{at.altitude_m:.3f},90",
         ]
-        (host.home / FORGET.name).write_bytes(FORGET.read_bytes())
-        for begin in (words, [python, FORGET.name, PORT]):
+        (host.home / CABLE.name).write_bytes(CABLE.read_bytes())
+        for begin in (words, [python, CABLE.name, PORT, "5760"]):
             host.run(f"setsid {shlex.join(begin)} </dev/null >>/run/rover.log 2>&1 &", check=True)
+
+    def switch_off(self, robot: int) -> None:
+        """The vehicle and its cable are gone."""
+        host = self.host_of(robot)
+        for words in ("-m handfast.bridges.mavlink.simulator", CABLE.name):
+            for pid in host.pids(words):
+                os.kill(pid, signal.SIGKILL)
 
     def hand_over(self, robot: int) -> None:
         """Its operator puts it into GUIDED and arms it."""
@@ -220,12 +227,7 @@ def test_over_a_bad_radio_they_drive_on_after_a_pulled_cable_and_a_reboot(fleet:
     fleet.by_name("faults", "set", str(fleet.file), *radio)
     child = fleet.start("drive", "--out", "second", "--no-report", "--duration", f"{SECOND_S:g}")
     wait_for(lambda: set(states(fleet).values()) <= DRIVES, "all drive", 40.0)
-    (vehicle,) = (
-        pid
-        for pid, words in fleet.host_of(2).pids("-m handfast.bridges.mavlink.simulator").items()
-        if "-P" in words
-    )
-    os.kill(vehicle, signal.SIGKILL)
+    fleet.switch_off(2)
     wait_for(lambda: states(fleet)[2] == "fault", "its bridge says so", 10.0)
     time.sleep(CUT_S)
     fleet.switch_on(2, "--hand-over")

@@ -26,6 +26,7 @@ from tests.process.harness import measured, wait_for
 
 pytestmark = pytest.mark.timeout(400)
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
+CABLE: Final = Path(__file__).parents[1] / "rover_serial.py"
 PROBE: Final = Path(__file__).with_name("sandbox_probe.py")
 READY: Final = "ready, ms"
 FOLDER: Final = ".local/share/handfast/fleets/pair"
@@ -156,9 +157,17 @@ def test_a_bridge_drives_its_vehicle_on_a_serial_port(fleet: FleetOnHosts) -> No
     (fleet.folder / "rover").mkdir()
     rover = FleetOnHosts(fleet.hosts, fleet.folder / "rover", raw, fleet.cache)
     words = vehicle(resolved(parse_fleet(rover.file.read_text(), source="here")), 2, 5599).arguments[1:]
-    port = "--listen=serial:/run/serial:115200"
-    begin = shlex.join([python, "-P", "-m", "handfast.bridges.mavlink.simulator", port, *words])
-    host.run(f"setsid {begin} </dev/null >/run/rover.log 2>&1 &", check=True)
+    (host.home / CABLE.name).write_bytes(CABLE.read_bytes())
+    simulator = [
+        python,
+        "-P",
+        "-m",
+        "handfast.bridges.mavlink.simulator",
+        "--listen=tcp:127.0.0.1:5760",
+        *words,
+    ]
+    for begin in (simulator, [python, CABLE.name, "/run/serial", "5760"]):
+        host.run(f"setsid {shlex.join(begin)} </dev/null >>/run/rover.log 2>&1 &", check=True)
     device = wait_for(lambda: host.run(["readlink", "/run/serial"]).stdout.strip(), "the rover's serial port")
     host.run(["chgrp", "dialout", device], check=True)
     host.run(["chmod", "660", device], check=True)

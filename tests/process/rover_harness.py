@@ -1,4 +1,4 @@
-"""Fleets of simulated rovers as real processes, and a link to one that can be cut."""
+"""Fleets of simulated rovers as real processes, and a router before one, whose links can be cut."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.mavlink_section import MavlinkSection
@@ -51,23 +54,37 @@ def pair_of_rovers(*overrides: str) -> Fleet:
     return resolved(parse_fleet(text, source="here", overrides=[name, *PAIR, *overrides]))
 
 
-class Relay:
-    """Datagrams from `port` (a vehicle sends there) to `to` and back, while it is not `cut`."""
+class Router:
+    """Copies every datagram of each place to all the others, as a MAVLink router does.
 
-    def __init__(self, port: int, to: int) -> None:
+    Args:
+        port: where the vehicle sends.
+        to: ports of those that wait for it.
+
+    Attributes:
+        setpoints: counts by sender the setpoints that went to the vehicle.
+        cut: nothing passes while it is True.
+    """
+
+    def __init__(self, port: int, to: Sequence[int]) -> None:
+        self.setpoints: Counter[tuple[int, int]] = Counter()
         self.cut = False
-        self._to = ADDRESS, to
-        self._near, self._far = (socket.socket(type=socket.SOCK_DGRAM) for _ in range(2))
+        self._near = socket.socket(type=socket.SOCK_DGRAM)
         self._near.bind((ADDRESS, port))
-        self._far.bind((ADDRESS, 0))
+        self._far = [(socket.socket(type=socket.SOCK_DGRAM), (ADDRESS, each)) for each in to]
+        for each, _ in self._far:
+            each.bind((ADDRESS, 0))
         self._wake, self._woken = socket.socketpair()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         peer: Any = None
+        codec = mavlink.MAVLink(None)
+        codec.robust_parsing = True
         while True:
-            ready, _, _ = select.select((self._near, self._far, self._woken), (), ())
+            sockets = [self._near, self._woken, *(each for each, _ in self._far)]
+            ready, _, _ = select.select(sockets, (), ())
             if self._woken in ready:
                 return
             for here in ready:
@@ -75,16 +92,23 @@ class Relay:
                     data, sender = here.recvfrom(65_536)
                 except ConnectionRefusedError:
                     continue  # nobody was there for the last one
+                if self.cut:
+                    continue
                 if here is self._near:
                     peer = sender
-                there, to = (self._far, self._to) if here is self._near else (self._near, peer)
-                if not self.cut and to is not None:
-                    there.sendto(data, to)
+                elif peer is not None:
+                    self._near.sendto(data, peer)
+                    for message in codec.parse_buffer(data) or ():
+                        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+                            self.setpoints[message.get_srcSystem(), message.get_srcComponent()] += 1
+                for each, place_of in self._far:
+                    if each is not here:
+                        each.sendto(data, place_of)
 
     def close(self) -> None:
         self._wake.send(b"x")
         self._thread.join(5.0)
-        for each in (self._near, self._far, self._wake, self._woken):
+        for each in (self._near, self._wake, self._woken, *(each for each, _ in self._far)):
             each.close()
 
 
@@ -149,32 +173,33 @@ class Rovers(Robots):
 
 @contextmanager
 def rovers(
-    folder: Path, *overrides: str, relayed: int | None = None
-) -> Iterator[tuple[Rovers, Relay | None]]:
+    folder: Path, *overrides: str, routed: int | None = None, others: int = 0
+) -> Iterator[tuple[Rovers, Router | None, list[int]]]:
     """All processes of a pair of rovers, ready for a mission.
 
     Args:
-        relayed: robot whose vehicle reaches its bridge by a `Relay`.
+        routed: robot whose vehicle reaches its bridge by a `Router`.
+        others: number of other programs that may join that router; their ports come last.
     """
     placed = place(pair_of_rovers(*overrides))
-    fleet, relay, extra = placed.fleet, None, None
+    fleet, router, extra, ports = placed.fleet, None, None, []
     vehicles = {each.robot: each for each in placed.vehicles}
     try:
-        if relayed is not None:
-            extra = Reservation(ADDRESS, BASE_PORT + 2048, 1)
-            mavlink_section = fleet.robot(relayed).section(MavlinkSection)
-            assert mavlink_section is not None
-            assert mavlink_section.connection is not None
-            bridge_port = int(mavlink_section.connection.rpartition(":")[2])
-            relay = Relay(extra.base, bridge_port)
-            vehicles[relayed] = vehicle(fleet, relayed, extra.base)
+        if routed is not None:
+            extra = Reservation(ADDRESS, BASE_PORT + 2048, 1 + others)
+            section = fleet.robot(routed).section(MavlinkSection)
+            assert section is not None
+            assert section.connection is not None
+            ports = [extra.base + 1 + number for number in range(others)]
+            router = Router(extra.base, [int(section.connection.rpartition(":")[2]), *ports])
+            vehicles[routed] = vehicle(fleet, routed, extra.base)
         with Rovers(fleet, folder, vehicles) as all_rovers:
             all_rovers.start_all()
             all_rovers.wait_until_all("ready")
-            yield all_rovers, relay
+            yield all_rovers, router, ports
     finally:
-        if relay is not None:
-            relay.close()
+        if router is not None:
+            router.close()
         if extra is not None:
             extra.close()
         placed.ports.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import select
 import signal
@@ -18,7 +17,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.bridges.mavlink.ardupilot import constants
-from tests.process.harness import ADDRESS, PATIENCE_S, environment, no_trouble, running, wait_for
+from tests.process.harness import ADDRESS, PATIENCE_S, environment, no_trouble, wait_for
 
 SERVER = (sys.executable, "-P", "-m", "handfast.bridges.mavlink.simulator")
 
@@ -196,32 +195,6 @@ def test_a_crash_ends_the_process(start: Callable[..., Simulator]) -> None:
     assert "rover 1: crashed: a setpoint that is not finite" in simulator.said
 
 
-@pytest.mark.long
-def test_it_ends_with_its_parent(tmp_path: Path) -> None:
-    command = [*SERVER, f"--listen=udp:{ADDRESS}:0", "--exit-with-parent"]
-    starter = "import subprocess, sys; p = subprocess.Popen(sys.argv[1:]); print(p.pid, flush=True); p.wait()"
-    with open(tmp_path / "stderr", "wb") as err:
-        parent = subprocess.Popen(
-            [sys.executable, "-c", starter, *command],
-            env=environment(),
-            stdout=subprocess.PIPE,
-            stderr=err,
-            text=True,
-        )
-    with parent:
-        assert parent.stdout is not None
-        pid = int(parent.stdout.readline())
-        wait_for(lambda: "listens on" in (tmp_path / "stderr").read_text(), "the simulator")
-        parent.kill()
-        parent.wait()
-    try:
-        wait_for(lambda: not running(pid), "the end of the simulator")
-    finally:
-        if running(pid):
-            os.kill(pid, signal.SIGKILL)
-    assert "the process that started it is gone" in (tmp_path / "stderr").read_text()
-
-
 HANDFAST = (sys.executable, "-P", "-m", "handfast.deploy.cli")
 
 
@@ -248,41 +221,3 @@ def test_it_is_given_a_key_by_the_command_and_signs(start: Callable[..., Simulat
         assert ended.stderr.startswith("The keys cross the links in clear")
         assert len(ended.stderr.splitlines()) == 1
     assert "rover 1: signs from now on" in simulator.said
-
-
-@pytest.mark.long
-def test_giving_keys_ends_with_ctrl_c(tmp_path: Path) -> None:
-    command, variables = signing(tmp_path, f"tcp:{ADDRESS}:9", "--make-keys")
-    with subprocess.Popen(
-        command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        assert process.stdout is not None
-        process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE_S) == 130
-        assert process.stdout.readlines()[-1].startswith("robot 1: NOT DONE: interrupted")
-        assert process.stderr.read() == ""
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--listen=tcp:5760"], "tcp:HOST:PORT"),
-        (["--listen=serial:/dev/ttyS0"], "'serial:/dev/ttyS0'"),
-        (["--connect=tcp:127.0.0.1:5760"], "udp:HOST:PORT"),
-        (["--listen=udp:127.0.0.1:99999"], "99999"),
-        (["--listen=udp:192.0.2.1:14550"], "cannot listen on udp:192.0.2.1:14550"),
-        (["--home=1,2"], "LAT,LON,ALT,YAW"),
-        (["--param=NO_SUCH=1"], "NO_SUCH"),
-        (["--system=0"], "from 1 to 254"),
-        (["--boot=-1"], "more than 0 s"),
-    ],
-)
-def test_bad_options_are_named_in_one_line(arguments: list[str], named: str) -> None:
-    command = [sys.executable, "-P", "-m", "handfast.deploy.cli", "rover-simulator", *arguments]
-    ended = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=30.0)
-    assert ended.returncode == 2
-    assert named in ended.stderr
-    assert len(ended.stderr.splitlines()) == 1

@@ -1,4 +1,4 @@
-"""A simulated rover as a process: its ports are sockets or serial, its time is the machine's.
+"""A simulated rover as a process: its ports are sockets, its time is the machine's.
 
 handfast rover-simulator --listen tcp:127.0.0.1:5760 --hand-over
 """
@@ -43,22 +43,20 @@ Log = Callable[[str], None]
 def serve(rover: Rover, lines: Sequence[Line], clock: Clock, shutdown: Shutdown, log: Log) -> int:
     """Drives `rover` by `clock` until the process is asked to end or the rover's would: its exit status.
 
-    It wakes once a loop, as an autopilot without interrupts does: what arrives waits for that. A serial line
-    wakes it between them, to let bytes go on.
+    It wakes once a loop, as an autopilot without interrupts does: what arrives waits for that.
     """
     lost_ns = 0
     parent_due_ns = 0
     boots = rover.boots
     while not shutdown.asked:
-        wake_ns = min([rover.next_ns, *(due for line in lines if (due := line.due_ns) is not None)])
-        clock.sleep_until(wake_ns + lost_ns)
+        clock.sleep_until(rover.next_ns + lost_ns)
         now_ns = clock.now_ns() - lost_ns
         late_ns = now_ns - rover.next_ns
         if late_ns > HELD_UP_NS:
             log(f"was held up for {late_ns / NS_PER_S:.1f} s")
             lost_ns += late_ns
             now_ns -= late_ns
-        for number, line in readable(lines, now_ns):
+        for number, line in readable(lines):
             data = line.receive(now_ns)
             rover.set_open(number, line.is_open)
             if data:
@@ -67,7 +65,7 @@ def serve(rover: Rover, lines: Sequence[Line], clock: Clock, shutdown: Shutdown,
         for number, message in rover.advance(now_ns):
             out.setdefault(number, []).append(message)
         for number, messages in out.items():
-            lines[number].send(messages, now_ns)
+            lines[number].send(messages)
         for text in rover.take_log():
             log(text)
         if rover.crashed:
@@ -108,9 +106,9 @@ def _parser() -> argparse.ArgumentParser:
         "--listen",
         dest="endpoints",
         action=_Append,
-        metavar="tcp:HOST:PORT|udp:HOST:PORT|serial:PATH:BAUD",
-        help="a port (repeatable); the first of --listen and --connect is the first serial port; serial: "
-        "makes PATH a serial port of that speed (default: tcp:127.0.0.1:5760, 5762 and 5763)",
+        metavar="tcp:HOST:PORT|udp:HOST:PORT",
+        help="a port (repeatable); the first of --listen and --connect is the first serial port "
+        "(default: tcp:127.0.0.1:5760, 5762 and 5763)",
     )
     parser.add_argument(
         "--connect",
@@ -179,7 +177,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     def log(text: str) -> None:
         print(f"rover {options.system}: {text}", file=sys.stderr, flush=True)
 
-    shutdown = Shutdown(with_parent=options.exit_with_parent)
     try:
         endpoints = [
             parse_endpoint(text, listens=listens) for listens, text in options.endpoints or ()
@@ -189,6 +186,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SettingsError as error:
         log(str(error))
         return BAD_INPUT
+    shutdown = Shutdown(with_parent=options.exit_with_parent)
     try:
         clock = RealClock()
         rover = Rover(settings, clock.now_ns())

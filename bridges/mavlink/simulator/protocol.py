@@ -20,7 +20,6 @@ from handfast.bridges.mavlink.simulator.guided import (
     of_position_target,
 )
 from handfast.bridges.mavlink.simulator.port import Port
-from handfast.bridges.mavlink.simulator.routing import Routes
 from handfast.bridges.mavlink.simulator.settings import SettingsError, type_of
 from handfast.bridges.mavlink.simulator.telemetry import BUILDERS, Message, heartbeat
 from handfast.bridges.mavlink.simulator.vehicle import WARNING, Vehicle
@@ -56,7 +55,6 @@ class Protocol:
         ]
         for port in self._ports:
             port.sign(key, 0)
-        self._routes = Routes(vehicle.system)
         self._heard: deque[tuple[int, Port, Message]] = deque()
         self._timesync_ns = ready_ns + TIMESYNC_PERIOD_NS
         self._origin_said = vehicle.navigation.origin is not None
@@ -92,7 +90,7 @@ class Protocol:
         self._open = opened
         while self._heard and self._heard[0][0] <= now_ns:
             _, port, message = self._heard.popleft()
-            if self._passed_on(port, message) and self._accepted(message):
+            if self._accepted(message):
                 handler = self._handlers.get(message.get_msgId())
                 if handler is not None:
                     handler(port, message, now_ns)
@@ -144,23 +142,13 @@ class Protocol:
         for port in self._ports:
             self._send(port, message, now_ns)
 
-    def _passed_on(self, port: Port, message: Message) -> bool:
-        """Passes a message on to whom it concerns; whether it concerns the vehicle."""
-        id_, sender = message.get_msgId(), (message.get_srcSystem(), message.get_srcComponent())
-        self._routes.learn(port.number, *sender)
-        if id_ == constants.MESSAGE_HEARTBEAT:
-            ports, ours = self._routes.of_heartbeat(len(self._ports), port.number, *sender), True
-        else:
-            # SET_MODE has a system but no component; what is for everybody has neither.
-            system = getattr(message, "target_system", 0)
-            component = getattr(message, "target_component", 0)
-            ports, ours = self._routes.of_message(id_, port.number, system, component)
-        for other in ports:
-            if self._open[other]:
-                self.out.append((other, bytes(message.get_msgbuf())))
-        return ours
-
     def _accepted(self, message: Message) -> bool:
+        """Whether it is addressed to this vehicle, or to everybody, by a system that it obeys."""
+        # SET_MODE has a system but no component; what is for everybody has neither.
+        if getattr(message, "target_system", 0) not in (0, self._vehicle.system):
+            return False
+        if getattr(message, "target_component", 0) not in (0, constants.COMPONENT_AUTOPILOT):
+            return False
         parameters = self._vehicle.parameters
         if not int(parameters["SYSID_ENFORCE"]) & constants.OPTION_ENFORCE:
             return True

@@ -1,6 +1,4 @@
-"""Ports of a simulated rover: TCP as ArduPilot's simulator has it, UDP, and serial ones by `serial_line`.
-None ever blocks.
-"""
+"""Ports of a simulated rover: TCP as ArduPilot's simulator has it, and UDP. None ever blocks."""
 
 from __future__ import annotations
 
@@ -11,7 +9,6 @@ from contextlib import suppress
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.simulator.serial_line import SerialEndpoint, SerialLine, parse_serial
 from handfast.bridges.mavlink.simulator.settings import SettingsError
 
 RECEIVE_BYTES: Final = 65_536
@@ -34,12 +31,12 @@ class Endpoint(NamedTuple):
         return f"{self.transport}:{host}:{self.port}"
 
 
-def parse_endpoint(text: str, *, listens: bool) -> Endpoint | SerialEndpoint:
-    """An endpoint of ``udp:HOST:PORT``, or, to listen on only, of ``tcp:HOST:PORT`` or ``serial:PATH:BAUD``.
-    Raises `SettingsError`.
+def parse_endpoint(text: str, *, listens: bool) -> Endpoint:
+    """Return the endpoint of ``udp:HOST:PORT`` or, to listen on only, of ``tcp:HOST:PORT``.
+
+    Raises:
+        SettingsError: the text is neither.
     """
-    if listens and text.startswith("serial:"):
-        return parse_serial(text)
     transport, _, rest = text.partition(":")
     host, _, port = rest.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
@@ -48,7 +45,7 @@ def parse_endpoint(text: str, *, listens: bool) -> Endpoint | SerialEndpoint:
         return Endpoint("tcp", host, int(port), listens)
     if transport == "udp" and good:
         return Endpoint("udp", host, int(port), listens)
-    wanted = "tcp:HOST:PORT, udp:HOST:PORT or serial:PATH:BAUD" if listens else "udp:HOST:PORT"
+    wanted = "tcp:HOST:PORT or udp:HOST:PORT" if listens else "udp:HOST:PORT"
     raise SettingsError(f"{text!r} is not {wanted}")
 
 
@@ -62,7 +59,7 @@ def _address(endpoint: Endpoint) -> tuple[int, tuple[object, ...]]:
 
 
 class Line(Protocol):
-    """One port: a socket, or a serial port."""
+    """One port."""
 
     @property
     def is_open(self) -> bool:
@@ -70,24 +67,19 @@ class Line(Protocol):
         ...
 
     @property
-    def endpoint(self) -> Endpoint | SerialEndpoint:
+    def endpoint(self) -> Endpoint:
         """Where it is, with the number that the system chose where it was 0."""
         ...
 
-    @property
-    def due_ns(self) -> int | None:
-        """When there is something to do, though nothing comes; None: never."""
-        ...
-
-    def watched(self) -> socket.socket | int:
+    def watched(self) -> socket.socket:
         """The socket on which something may come."""
         ...
 
     def receive(self, now_ns: int) -> bytes:
-        """What came, when there is something on `watched`, or it is due."""
+        """What came, when there is something on `watched`."""
         ...
 
-    def send(self, messages: Sequence[bytes], now_ns: int) -> None:
+    def send(self, messages: Sequence[bytes]) -> None:
         """Sends, or loses what does not fit, as a serial port does."""
         ...
 
@@ -102,8 +94,6 @@ class Line(Protocol):
 
 class TcpLine:
     """Listens, for one client at a time; a second one waits until the first is gone."""
-
-    due_ns = None
 
     def __init__(self, endpoint: Endpoint) -> None:
         family, address = _address(endpoint)
@@ -147,7 +137,7 @@ class TcpLine:
             self.restart()
         return data
 
-    def send(self, messages: Sequence[bytes], now_ns: int) -> None:
+    def send(self, messages: Sequence[bytes]) -> None:
         """See `Line`."""
         if self._client is None:
             return
@@ -175,8 +165,6 @@ class TcpLine:
 
 class UdpLine:
     """Sends to its endpoint, or listens there and answers to whom it hears."""
-
-    due_ns = None
 
     def __init__(self, endpoint: Endpoint) -> None:
         family, address = _address(endpoint)
@@ -221,7 +209,7 @@ class UdpLine:
             self._heard_ns = now_ns
             came.append(data)
 
-    def send(self, messages: Sequence[bytes], now_ns: int) -> None:
+    def send(self, messages: Sequence[bytes]) -> None:
         """See `Line`."""
         datagram = b""
         for message in (*messages, b""):
@@ -244,15 +232,12 @@ class UdpLine:
         self._socket.close()
 
 
-def open_lines(endpoints: Iterable[Endpoint | SerialEndpoint]) -> list[Line]:
+def open_lines(endpoints: Iterable[Endpoint]) -> list[Line]:
     """All of them or none: raises `SettingsError` for the first that cannot be opened."""
     lines: list[Line] = []
     try:
         for endpoint in endpoints:
-            if isinstance(endpoint, SerialEndpoint):
-                lines.append(SerialLine(endpoint))
-            else:
-                lines.append(TcpLine(endpoint) if endpoint.transport == "tcp" else UdpLine(endpoint))
+            lines.append(TcpLine(endpoint) if endpoint.transport == "tcp" else UdpLine(endpoint))
     except SettingsError:
         for line in lines:
             line.close()
@@ -260,11 +245,7 @@ def open_lines(endpoints: Iterable[Endpoint | SerialEndpoint]) -> list[Line]:
     return lines
 
 
-def readable(lines: Sequence[Line], now_ns: int) -> list[tuple[int, Line]]:
-    """The lines on which something came, or is due, with their numbers."""
+def readable(lines: Sequence[Line]) -> list[tuple[int, Line]]:
+    """The lines on which something came, with their numbers."""
     ready = set(select.select([line.watched() for line in lines], [], [], 0)[0])
-    return [
-        (number, line)
-        for number, line in enumerate(lines)
-        if line.watched() in ready or (line.due_ns is not None and line.due_ns <= now_ns)
-    ]
+    return [(number, line) for number, line in enumerate(lines) if line.watched() in ready]

@@ -54,7 +54,11 @@ class Wire:
             for wire in wires:
                 wire.now_ns += STEP_NS
                 while wire._up and wire._up[0][0] <= wire.now_ns:
-                    self.rover.receive(wire.port, wire._up.popleft()[1], wire.now_ns)
+                    said = wire._up.popleft()[1]
+                    self.rover.receive(wire.port, said, wire.now_ns)
+                    for other in wires:
+                        if other is not wire:  # a router passes it on
+                            other._down.append((wire.now_ns + wire._delay_ns, said))
             for port, data in self.rover.advance(self.now_ns):
                 for wire in wires:
                     if port == wire.port and wire._carries():

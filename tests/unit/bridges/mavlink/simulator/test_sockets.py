@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.simulator.__main__ import serve
+from handfast.bridges.mavlink.simulator.__main__ import main, serve
 from handfast.bridges.mavlink.simulator.rover import Rover, Settings
 from handfast.bridges.mavlink.simulator.settings import SettingsError
 from handfast.bridges.mavlink.simulator.sockets import (
@@ -97,7 +97,7 @@ def test_udp_talks_to_whom_it_heard_first_until_that_is_silent(
         sender.send(b"x")
         came(listening.watched())
         assert listening.receive(now_ns) == taken, seconds
-    listening.send([b"hello"], NOW_NS)
+    listening.send([b"hello"])
     came(second)
     assert second.recv(100) == b"hello"
     assert not select.select([first], [], [], 0)[0]
@@ -110,7 +110,7 @@ def test_udp_joins_messages_but_never_cuts_one(listening: UdpLine, peers: list[s
     came(listening.watched())
     listening.receive(NOW_NS)
     messages = [bytes([k]) * 280 for k in range(9)]
-    listening.send(messages, NOW_NS)
+    listening.send(messages)
     got = []
     while sum(map(len, got)) < 9 * 280:
         came(peers[0])
@@ -127,7 +127,7 @@ def test_udp_to_nobody_goes_on() -> None:
     line = UdpLine(Endpoint("udp", HOST, port, False))
     try:
         for _ in range(5):
-            line.send([b"x"], NOW_NS)
+            line.send([b"x"])
             assert line.receive(NOW_NS) == b""
         assert line.is_open
     finally:
@@ -142,13 +142,13 @@ def test_tcp_loses_whole_messages_when_nobody_reads() -> None:
         assert line.is_open
         block = [bytes(range(200)) * 50]
         for _ in range(2_000):
-            line.send(block, NOW_NS)
+            line.send(block)
         client.settimeout(10.0)
         got = b""
         while len(got) % len(block[0]) or not got:
             while select.select([client], [], [], 0.0)[0]:
                 got += client.recv(1 << 20)
-            line.send(block, NOW_NS)
+            line.send(block)
         assert len(got) < 2_000 * len(block[0])
         assert got == block[0] * (len(got) // len(block[0]))
     came(line.watched())
@@ -170,7 +170,7 @@ def test_only_lines_with_something_are_named(listening: UdpLine, peers: list[soc
     try:
         peers[0].send(b"x")
         came(listening.watched())
-        assert readable([other, listening], NOW_NS) == [(1, listening)]
+        assert readable([other, listening]) == [(1, listening)]
     finally:
         other.close()
 
@@ -210,3 +210,25 @@ def test_time_in_which_the_process_was_held_up_is_lost_not_made_up_for(listening
     assert serve(rover, [listening], clock, shutdown, log.append) == 0
     assert [line for line in log if "held up" in line] == ["was held up for 10.0 s"]
     assert rover.next_ns - NOW_NS == pytest.approx(51 * NS_PER_S // 50, abs=NS_PER_S // 50)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--listen=tcp:5760"], "tcp:HOST:PORT"),
+        (["--listen=/dev/ttyS0"], "'/dev/ttyS0'"),
+        (["--connect=tcp:127.0.0.1:5760"], "udp:HOST:PORT"),
+        (["--listen=udp:127.0.0.1:99999"], "99999"),
+        (["--listen=udp:192.0.2.1:14550"], "cannot listen on udp:192.0.2.1:14550"),
+        (["--home=1,2"], "LAT,LON,ALT,YAW"),
+        (["--param=NO_SUCH=1"], "NO_SUCH"),
+        (["--system=0"], "from 1 to 254"),
+        (["--boot=-1"], "more than 0 s"),
+    ],
+)
+def test_bad_options_are_named_in_one_line(
+    arguments: list[str], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert named in line

@@ -8,8 +8,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.simulator.uart import misread
 from handfast.bridges.mavlink.transport.line_contents import LineContents, first_message
+from tests.rover_serial import misread
 
 BAUD = 57_600
 BEAT = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GROUND_ROVER, 3, 81, 4, 4, 3)

@@ -15,12 +15,12 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.simulator.uart import misread
 from handfast.bridges.mavlink.transport import port_diagnosis
 from handfast.bridges.mavlink.transport import transport as transport_module
 from handfast.bridges.mavlink.transport.connection_string import Unusable, parse_connection
 from handfast.bridges.mavlink.transport.serial_channel import Serial
 from handfast.bridges.mavlink.transport.transport import Timing, Transport, open_transport
+from tests.rover_serial import misread
 
 TIMING = Timing(retry_s=0.005, retry_max_s=0.02)
 BEAT = mavlink.MAVLink_heartbeat_message(10, 3, 81, 4, 4, 3).pack(mavlink.MAVLink(None, 1, 1))
