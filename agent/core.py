@@ -21,6 +21,7 @@ from handfast.agent.control.own_hand import OwnHand
 from handfast.agent.control.peers.lateness import IN_TIME_NS, OUTAGE_NS, STOOD_KEPT_NS
 from handfast.agent.control.peers.rolling import rolls_of
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import SEND_BOUND_M
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
 from handfast.agent.links.ingress import Decode, Ingress
@@ -542,7 +543,7 @@ def _event_trigger(fleet: Fleet, controller: Controller) -> EventTrigger | None:
     return EventTrigger(
         controller.peers.forecast,
         fleet.period_ns,
-        control.send_bound_m,
+        SEND_BOUND_M,
         fleet.hands_within_ns,
         predicts=control.prediction,
         slopes=controller.coupling.slopes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, pi, sin
+from math import cos, pi, sin
 from typing import Final
 
 from handfast.agent.common import random_streams
@@ -13,6 +13,8 @@ from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.timed_rules import SensorFaults
 
 _NONE: Final = SensorFaults()
+JUMP_SHARE: Final = 0.01
+"""Share of measurements that a rule's `jump_m` strikes."""
 
 
 class Measurement:
@@ -39,9 +41,8 @@ class Measurement:
             random_streams.stream(seed, "plant", body.id, quantity)
             for quantity in ("x", "y", "heading", "speed", "yaw rate")
         ]
-        self._dropout, self._jump, self._direction = (
-            random_streams.stream(seed, "plant", body.id, purpose)
-            for purpose in ("dropout", "jump", "direction")
+        self._jump, self._direction = (
+            random_streams.stream(seed, "plant", body.id, purpose) for purpose in ("jump", "direction")
         )
         self._ruled = False
 
@@ -68,22 +69,13 @@ class Measurement:
         if self.exact:
             return pose
         faults = (self._plan.sensor(self._robot, time_ns) if self._ruled else None) or _NONE
-        if faults.dropout and random_streams.uniform(self._dropout, sequence) < faults.dropout:
-            return None
         bias_x, bias_y = faults.position_bias_m
-        if faults.jump_m and random_streams.uniform(self._jump, sequence) < faults.jump_probability:
+        if faults.jump_m and random_streams.uniform(self._jump, sequence) < JUMP_SHARE:
             angle = 2.0 * pi * random_streams.uniform(self._direction, sequence)
             bias_x, bias_y = bias_x + faults.jump_m * cos(angle), bias_y + faults.jump_m * sin(angle)
-        biases = bias_x, bias_y, faults.heading_bias_rad, faults.speed_bias_mps, faults.yaw_rate_bias_radps
-        noises = (
-            faults.position_noise_m, faults.position_noise_m, faults.heading_noise_rad,
-            faults.speed_noise_mps, faults.yaw_rate_noise_radps,
-        )  # fmt: skip
+        biases = bias_x, bias_y, faults.heading_bias_rad, 0.0, 0.0
         measured = []
-        for value, bias, own, added, stream in zip(
-            pose, biases, self._noise, noises, self._streams, strict=True
-        ):
-            deviation = hypot(own, added)
+        for value, bias, deviation, stream in zip(pose, biases, self._noise, self._streams, strict=True):
             error = deviation * random_streams.normal(stream, sequence) if deviation else 0.0
             measured.append(value + bias + error)
         return Pose._make(measured)

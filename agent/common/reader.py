@@ -54,6 +54,7 @@ class Reader:
 
     Attributes:
         sections: tables of plugins that a model, or one derived from it, may hold besides its own.
+        is_recorded: the document is of a former drive: fields that no longer exist are no problem.
         unread: models of which not all such tables are known: an unknown one is no problem there.
     """
 
@@ -61,6 +62,7 @@ class Reader:
         self._root, self._replaced = root, replaced or {}
         self.sections: Mapping[type, Sequence[Entry]] = {}
         self.unread: frozenset[type] = frozenset()
+        self.is_recorded = False
         self._problems: list[Problem] = []
         self._overridden: dict[str, str] = {}  # place in the file -> how the command line names it
         self._suggestions = 0
@@ -313,6 +315,8 @@ class Reader:
 
     def _unknown(self, model: type, key: str, place: str, value: object = None) -> None:
         former = _ENTRY.sub("", place.removeprefix("--set ")).replace("_defaults.", ".", 1)
+        if former in self._replaced and self.is_recorded:
+            return
         if former in self._replaced:
             self.add(place, f"is no field any more: {self._replaced[former]}")
             return

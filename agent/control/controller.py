@@ -38,6 +38,7 @@ from handfast.agent.control.safety_distances import (
     speeding_rate,
 )
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import SEND_BOUND_M
 from handfast.agent.formation.geometry import Geometry, start_hand
 from handfast.agent.formation.mission_plan import Plan
 from handfast.agent.formation.reference import Edge, Reference
@@ -133,7 +134,7 @@ class Controller:
             horizon_s=control.prediction_horizon_s,
             beacon_ns=fleet.beacon_rounds * fleet.period_ns,
             beacon_max_ns=fleet.beacon_rounds_max * fleet.period_ns,
-            bound_m=control.send_bound_m if control.send == "event" else 0.0,
+            bound_m=SEND_BOUND_M if control.send == "event" else 0.0,
         )
         self.proximity: Final = Proximity(fleet, robot, self.peers)
         self._references: dict[Mark, Reference] = {}

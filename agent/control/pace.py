@@ -12,6 +12,7 @@ from typing import Final
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.safety_distances import LOWEST_SHARE, barrier_rate
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import SLOW_SHARE
 
 PERIOD_MAX_S: Final = 0.25
 """No step has a longer period: what is older counts as late (`UNSURE_NS`), and a stop waits no longer."""
@@ -77,8 +78,7 @@ def why_not(fleet: Fleet, step: int) -> str:
     waits = {
         "control.plant_timeout_s": control.plant_timeout_s,
         "control.wrench_timeout_s": control.wrench_timeout_s,
-        "control.prediction_horizon_s": control.prediction_horizon_s,
-        "supervision.slow_after_s": fleet.supervision.slow_from_s(control.prediction_horizon_s),
+        f"{SLOW_SHARE:g} control.prediction_horizon_s": SLOW_SHARE * control.prediction_horizon_s,
     }
     field = min(waits, key=lambda each: waits[each])
     if waits[field] < 2.0 * period_s * (1.0 - _ROUNDING):

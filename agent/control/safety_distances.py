@@ -128,8 +128,7 @@ def braking_room(fleet: Fleet) -> float:
 
 def sensing_distance(fleet: Fleet, distance: float) -> float:
     """From where on a robot is listened to closely, m; `distance` is d_a."""
-    given = fleet.avoidance.sensing_m
-    return max(distance + AHEAD_M, braking_room(fleet)) if given is None else given
+    return max(distance + AHEAD_M, braking_room(fleet))
 
 
 def clearance(given: float | None, safe: float) -> float:

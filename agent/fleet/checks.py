@@ -191,22 +191,6 @@ def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
                 f"got {show(timeout)}",
             )
     _check_lowest_rate(values, reader)
-    control = values.get("control", {})
-    every, horizon = control.get("send_every_s"), control.get("prediction_horizon_s")
-    if every is None:
-        return
-    if rate is not None and every < 1 / rate * (1 - 1e-9):
-        reader.add(
-            "control.send_every_s",
-            f"must be at least one period, {1 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
-            f"got {show(every)}",
-        )
-    elif horizon is not None and every > 0.5 * horizon * (1 + 1e-9):
-        reader.add(
-            "control.send_every_s",
-            f"{show(every)} is too long: must be at most half of control.prediction_horizon_s = "
-            f"{show(horizon)}, after which a silent robot is given up",
-        )
 
 
 def _check_lowest_rate(values: Mapping[str, Any], reader: Reader) -> None:

@@ -11,7 +11,6 @@ from handfast.agent.fleet.fault_rules import (
     ACTION_FIELDS,
     CLOCK_FIELDS,
     EFFECTS,
-    LINK_FIELDS,
     PROCESS_FIELDS,
     SENSOR_FIELDS,
     Effect,
@@ -49,29 +48,14 @@ def _check_traces(rows: Sequence[Mapping[str, Any]], reader: Reader) -> set[str]
 
 
 def _check_delay(row: Mapping[str, Any], place: str, traces: set[str], reader: Reader) -> None:
-    delay, jitter, distribution = (row.get(name) for name in ("delay", "jitter", "distribution"))
-    if delay is None:
-        for name, value in (("jitter", jitter), ("distribution", distribution)):
-            if value is not None and f"{place}.delay" not in reader.bad:
-                reader.add(f"{place}.{name}", 'needs a delay beside it, such as delay = "80ms"')
-        return
-    for value in (delay.start, delay.end):
-        if value is None:
-            continue
-        if value.trace and value.trace not in traces:
+    delay = row.get("delay")
+    for value in () if delay is None else (delay.start, delay.end):
+        if value is not None and value.trace and value.trace not in traces:
             known = ", ".join(sorted(map(str, traces))) or "none"
             reader.add(
                 f"{place}.delay",
                 f"there is no [[faults.trace]] of the name {show(value.trace)}; names are: {known}",
             )
-        if (jitter is not None or distribution is not None) and value.distribution != "constant":
-            reader.add(
-                f"{place}.delay",
-                f"{show(str(delay))} gives its jitter itself: leave jitter and distribution out",
-            )
-            return
-    if distribution is not None and jitter is None and f"{place}.jitter" not in reader.bad:
-        reader.add(f"{place}.distribution", 'needs a jitter beside it, such as jitter = "20ms"')
 
 
 def _check_where(row: Mapping[str, Any], place: str, ids: Sequence[int], reader: Reader) -> None:
@@ -141,9 +125,10 @@ def _check_when(row: Mapping[str, Any], place: str, reader: Reader) -> None:
 
 
 def _check_what(row: Mapping[str, Any], place: str, reader: Reader) -> None:
-    link = [name for name in LINK_FIELDS if row.get(name) is not None]
+    link = [name for name in EFFECTS if row.get(name) is not None]
     own = [name for name in (*SENSOR_FIELDS, *PROCESS_FIELDS) if row.get(name) is not None]
-    wrong = any(bad.startswith(f"{place}.") for bad in reader.bad)  # what was given could not be read
+    # What was given could not be read, or is no field any more.
+    wrong = reader.is_recorded or any(bad.startswith(f"{place}.") for bad in reader.bad)
     if not link and not own and row.get("partition") is None and not wrong:
         reader.add(place, 'does nothing: give an effect, such as loss = "30%"')
     if own and row.get("link") is None and row.get("topic", "hand") != "hand" and not link:
@@ -152,7 +137,5 @@ def _check_what(row: Mapping[str, Any], place: str, reader: Reader) -> None:
         reader.add(f"{place}.{own[0]}", "needs a robot, such as robot = 3")
     if row.get("range") is not None and row.get("topic", "hand") in ("state", "wrench"):
         reader.add(f"{place}.range", "is between robots: a robot has no distance from its own plant")
-    if row.get("jump_probability") is not None and row.get("jump_m") is None:
-        reader.add(f"{place}.jump_probability", "needs a jump_m, such as jump_m = 0.5")
     if row.get("tick_jitter_share") is not None and row.get("tick_jitter") is None:
         reader.add(f"{place}.tick_jitter_share", 'needs a tick_jitter, such as tick_jitter = "500ms"')

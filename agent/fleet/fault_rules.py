@@ -86,10 +86,6 @@ class Impairments:
         "`normal 80ms 20ms 25%` (distribution, mean, jitter, correlation; also `pareto`, `paretonormal`), "
         "`trace NAME`.",
     )
-    jitter: float | None = setting(None, "Jitter of `delay`.", unit="s", ge=0, le=3600, example='"20ms"')
-    distribution: Literal["uniform", "normal", "pareto", "paretonormal"] | None = setting(
-        None, "Distribution of the jitter; `uniform` where none is given."
-    )
     loss: Effect[Loss] | None = _impairment(
         Loss,
         '"30%"',
@@ -133,22 +129,13 @@ class Impairments:
 EFFECTS: Final = (
     "delay", "loss", "duplicate", "reorder", "corrupt", "rate", "limit", "slot", "hold", "range",
 )  # fmt: skip
-"""Effects on links; ``jitter`` and ``distribution`` are parts of ``delay``."""
-LINK_FIELDS: Final = (*EFFECTS, "jitter", "distribution")
 """Fields of a rule that are about links."""
-SENSOR_FIELDS: Final = (
-    "position_noise_m", "heading_noise_rad", "speed_noise_mps", "yaw_rate_noise_radps", "position_bias_m",
-    "heading_bias_rad", "speed_bias_mps", "yaw_rate_bias_radps", "jump_m", "jump_probability", "dropout",
-)  # fmt: skip
+SENSOR_FIELDS: Final = ("position_bias_m", "heading_bias_rad", "jump_m")
 """Fields of a rule that are about measurements."""
 ACTION_FIELDS: Final = ("kill", "pause", "restart")
 CLOCK_FIELDS: Final = ("clock_skew", "clock_drift")
 PROCESS_FIELDS: Final = (*ACTION_FIELDS, *CLOCK_FIELDS, "tick_jitter", "tick_jitter_share")
 """Fields of a rule that are about processes and their clocks."""
-
-
-def _noise(what: str, unit: str, limit: float = 100.0) -> Any:
-    return setting(None, f"Standard deviation added to the measured {what}.", unit=unit, ge=0, le=limit)
 
 
 def _bias(what: str, unit: str, limit: float = 100.0) -> Any:
@@ -211,27 +198,15 @@ class Rule(Impairments):
     until: float | None = setting(
         None, "The end of an `every`, in time of the run.", unit="s", gt=0, le=_FAR, example='"20s"'
     )
-    position_noise_m: float | None = _noise("position, each axis", "m")
-    heading_noise_rad: float | None = _noise("heading", "rad", math.pi)
-    speed_noise_mps: float | None = _noise("speed", "m/s")
-    yaw_rate_noise_radps: float | None = _noise("yaw rate", "rad/s")
     position_bias_m: tuple[float, float] | None = _bias("position (east, north)", "m", 1e4)
     heading_bias_rad: float | None = _bias("heading", "rad", math.pi)
-    speed_bias_mps: float | None = _bias("speed", "m/s")
-    yaw_rate_bias_radps: float | None = _bias("yaw rate", "rad/s")
     jump_m: float | None = setting(
         None,
-        "Single measured positions jump so far in some direction.",
+        "One measured position in a hundred is off by this in some direction.",
         unit="m",
         ge=0,
         le=1e4,
         example="0.5",
-    )
-    jump_probability: float | None = setting(
-        None, "How often `jump_m` strikes; `1%` where not given.", unit="ratio", ge=0, le=1, example='"1%"'
-    )
-    dropout: float | None = setting(
-        None, "Share of measurements that are not taken.", unit="ratio", ge=0, le=1, example='"10%"'
     )
     kill: Process | None = setting(
         None, "Kills the robot's process; it is started again after `for`, or never.", example='"agent"'

@@ -118,6 +118,7 @@ def parse_fleet(
         add_orders(raw, orders, orders_source)
 
     reader = Reader(Fleet, REPLACED)
+    reader.is_recorded = recorded
     law_problems = _apply_law(raw, law, recorded)
     kind_before = _table(raw, "trajectory").get("kind", "hold")
     # First what says which plugins there are: they say which tables there may be.
@@ -322,9 +323,6 @@ def _digest(fleet: Fleet) -> str:
     for key in ("network", "host", "recording", "process"):
         table.pop(key, None)
     del table["fleet"]["description"]
-    if fleet.control.send == "periodic":  # as of a file from before there was another way
-        for key in ("send", "send_bound_m", "send_every_s"):
-            table["control"].pop(key, None)
     for robot in table["robot"]:
         robot.pop("host", None)
         for kind in plants.KINDS.values():

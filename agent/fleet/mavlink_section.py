@@ -45,16 +45,6 @@ class MavlinkSection:
         le=254,
         example="1",
     )
-    own_system: int | None = setting(
-        None,
-        "The bridge's own system id; left out: the vehicle's. 255 is a ground station's and not possible.",
-        ge=1,
-        le=254,
-        example="1",
-    )
-    own_component: int = setting(
-        191, "The bridge's own component id: 191 to 194 are onboard computers.", ge=2, le=250
-    )
     state_rate_hz: float = setting(
         25.0,
         "How often the vehicle is to send position and attitude. It may grant less; 40 is ArduPilot's most, "
@@ -67,17 +57,6 @@ class MavlinkSection:
         False,
         "The bridge itself puts the vehicle into GUIDED and arms it, as soon as its estimate is good: "
         "**it may move without anybody at it having said so**. Else its operator does both.",
-    )
-    resume_after_s: float = setting(
-        3.0,
-        "A vehicle of which nothing was heard for so long is driven again only after `handfast resume`: its "
-        "operator may have had it meanwhile, and given it back, and nobody can know.",
-        unit="s",
-        ge=2,
-        le=3600,
-    )
-    set_origin: bool = setting(
-        True, "Gives the vehicle the datum as the origin of its EKF while it has none of its own."
     )
     signing_key: str | None = setting(
         None,

@@ -32,6 +32,7 @@ from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.fleet.routers import RouterPlace, routers_of
 from handfast.agent.fleet.safety import (
     BEACON_HORIZONS,
+    BEACON_HZ,
     BEACONS_HZ,
     BEACONS_MANY,
     AvoidanceSection,
@@ -168,7 +169,7 @@ class Fleet:
     @property
     def beacon_rounds(self) -> int:
         """Control periods between two beacons of one robot."""
-        return max(1, round(self.fleet.rate_hz / self.avoidance.beacon_hz))
+        return max(1, round(self.fleet.rate_hz / BEACON_HZ))
 
     @property
     def beacon_rounds_max(self) -> int:
@@ -193,8 +194,6 @@ class Fleet:
         control, period_ns = self.control, self.period_ns
         if control.send == "periodic":
             return period_ns
-        if control.send_every_s is not None:
-            return max(period_ns, round(control.send_every_s * 1e9))
         most_s = min(SEND_PERIODS / self.fleet.rate_hz, 0.5 * control.prediction_horizon_s)
         if self.is_large:
             most_s = min(most_s, SEND_ALONE_S)

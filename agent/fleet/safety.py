@@ -18,6 +18,8 @@ from handfast.agent.common.wording import show
 CORNERS_MAX: Final = 200
 """Corners of one polygon: every robot measures its way to each side in every tick."""
 
+BEACON_HZ: Final = 5.0
+"""Rate at which a robot tells all others where it is while that is news to them, 1/s."""
 BEACONS_MANY: Final = 24
 """Robots of a larger fleet tell where they are less often, where nothing is new of it..."""
 BEACONS_HZ: Final = 25
@@ -33,7 +35,8 @@ ORDERS_ROBOTS: Final = 100
 quarter of those, so that all together hear no more. But none later than after the longest interval of its
 beacons."""
 
-_SLOW_SHARE: Final = 0.75
+SLOW_SHARE: Final = 0.75
+"""Share of the prediction horizon after which a robot slows down for a silent neighbour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +66,12 @@ class AvoidanceSection:
         le=FAR_M,
         example="0.3",
     )
-    sensing_m: float | None = setting(
-        None,
-        "Robots nearer than this are listened to closely, in every tick. Left out: 0.9 m more than "
-        "`distance_m`, or more where two robots at `control.max_speed_mps` need it to brake in.",
-        unit="m",
-        gt=0,
-        le=FAR_M,
-        example="2.0",
-    )
-    beacon_hz: float = setting(
-        5.0, "How often every robot tells all others where it is.", unit="Hz", ge=0.5, le=50
-    )
     beacon_interval_max_s: float | None = setting(
         None,
-        "A robot tells it less often while it moves as the others expect by what it told last, has nothing "
-        "new to tell and lacks nothing: so long after the last time at the latest. At most "
-        f"{BEACON_HORIZONS:g} times `control.prediction_horizon_s`. Left out: 1 / `beacon_hz`; of more than "
-        f"{BEACONS_MANY} robots so many seconds that each of them hears {BEACONS_HZ} beacons a second.",
+        "A robot tells all others where it is less often while it moves as they expect, has nothing new to "
+        "tell and lacks nothing: so long after the last time at the latest. At most "
+        f"{BEACON_HORIZONS:g} times `control.prediction_horizon_s`. Left out: {1 / BEACON_HZ:g} s; of more "
+        f"than {BEACONS_MANY} robots so many seconds that each of them hears {BEACONS_HZ} beacons a second.",
         unit="s",
         gt=0,
         le=60,
@@ -151,15 +142,6 @@ class GeofenceSection:
 class SupervisionSection:
     """``[supervision]``: what robots do about silent neighbours and absent operators."""
 
-    slow_after_s: float | None = setting(
-        None,
-        "A neighbour that has been silent for so long makes a robot drive slower and slower, until at "
-        "`control.prediction_horizon_s` it is given up. Left out: three quarters of that.",
-        unit="s",
-        gt=0,
-        le=60,
-        example="1.5",
-    )
     silence: Literal["drop", "hold"] = setting(
         "drop",
         "What a robot does when it has given up a neighbour: `drop`: drives on without that edge, and keeps "
@@ -175,10 +157,6 @@ class SupervisionSection:
         le=600,
         example="1.0",
     )
-
-    def slow_from_s(self, prediction_horizon_s: float) -> float:
-        """Age (s) of a neighbour's last state from which on a robot slows down."""
-        return _SLOW_SHARE * prediction_horizon_s if self.slow_after_s is None else self.slow_after_s
 
 
 _CIRCLE = ("centre_m", "radius_m")
@@ -200,7 +178,6 @@ def check_safety(values: Mapping[str, Any], reader: Reader) -> None:
         _check_polygon(fence["points_m"], "geofence.points_m", reader)
     _check_avoidance(values.get("avoidance", {}), values.get("formation", {}).get("safe_distance_m"), reader)
     _check_beacons(values, reader)
-    _check_supervision(values, reader)
 
 
 def _check_obstacles(rows: Sequence[Mapping[str, Any]], reader: Reader) -> None:
@@ -341,57 +318,27 @@ def _square(a: Vector, b: Vector) -> float:
 
 
 def _check_avoidance(avoidance: Mapping[str, Any], safe: float | None, reader: Reader) -> None:
-    distance, sensing = avoidance.get("distance_m"), avoidance.get("sensing_m")
+    distance = avoidance.get("distance_m")
     if distance is not None and safe is not None and distance <= safe:
         reader.add(
             "avoidance.distance_m",
             f"{show(distance)} is too small: robots begin to part at this distance, which must be above "
             f"formation.safe_distance_m = {show(safe)}, that they must not come below",
         )
-    least, name = (
-        (distance, "avoidance.distance_m") if distance is not None else (safe, "formation.safe_distance_m")
-    )
-    if sensing is not None and least is not None and sensing <= least:
-        reader.add(
-            "avoidance.sensing_m",
-            f"{show(sensing)} is too small: a robot must be listened to before it comes as near as "
-            f"{name} = {show(least)}",
-        )
 
 
 def _check_beacons(values: Mapping[str, Any], reader: Reader) -> None:
     avoidance, place = values.get("avoidance", {}), "avoidance.beacon_interval_max_s"
-    longest, rate = avoidance.get("beacon_interval_max_s"), avoidance.get("beacon_hz")
+    longest = avoidance.get("beacon_interval_max_s")
     horizon = values.get("control", {}).get("prediction_horizon_s")
-    if longest is not None and rate is not None and longest < 1.0 / rate * (1.0 - 1e-9):
+    if longest is not None and longest < 1.0 / BEACON_HZ * (1.0 - 1e-9):
         reader.add(
             place,
-            f"{show(longest)} is too short: avoidance.beacon_hz = {show(rate)} means {1.0 / rate:.6g} s "
-            "between two",
+            f"{show(longest)} is too short: must be at least {1.0 / BEACON_HZ:g} s",
         )
     if longest is not None and horizon is not None and longest > BEACON_HORIZONS * horizon:
         reader.add(
             place,
             f"{show(longest)} is too long: must be at most {BEACON_HORIZONS:g} times "
             f"control.prediction_horizon_s = {show(horizon)}, so that who is gone is given up in time",
-        )
-
-
-def _check_supervision(values: Mapping[str, Any], reader: Reader) -> None:
-    slow = values.get("supervision", {}).get("slow_after_s")
-    horizon = values.get("control", {}).get("prediction_horizon_s")
-    rate = values.get("fleet", {}).get("rate_hz")
-    if slow is None:
-        return
-    if horizon is not None and slow >= horizon:
-        reader.add(
-            "supervision.slow_after_s",
-            f"{show(slow)} is too long: a robot slows down before it gives a neighbour up, which it does "
-            f"after control.prediction_horizon_s = {show(horizon)}; leave it out for three quarters of that",
-        )
-    elif rate is not None and slow < 2 / rate * (1 - 1e-9):
-        reader.add(
-            "supervision.slow_after_s",
-            f"must be at least two periods, {2 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
-            f"got {show(slow)}",
         )

@@ -19,7 +19,11 @@ from handfast.agent.fleet import plants
 from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 
 SEND_PERIODS: Final = 12
-"""Between two hand states of a robot that has nothing to say, as it is where the file does not say it."""
+"""Maximum number of periods between two hand states of a robot that sends them at events."""
+SEND_BOUND_M: Final = 0.005
+"""Error of the neighbours' prediction half a second ahead at which a robot sends a hand state, m."""
+CLOCK_SKEW_MAX_S: Final = 0.05
+"""Clock offset of a neighbour above which it is warned of, s."""
 SEND_ALONE_S: Final = 0.55
 """No longer than this where beacons are seldom, too: a robot whose agent hangs is known by its silence."""
 
@@ -27,12 +31,12 @@ Coupling = Literal["edge", "joint", "penalty"]
 
 LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
     "paper": {
-        "control": {"coupling": "edge", "kp": 0.0, "relaxation": 0.001},
+        "control": {"coupling": "edge", "kp": 0.0},
         "avoidance": {"enabled": False},
     },
-    "edge": {"control": {"coupling": "edge", "kp": 1.0, "relaxation": 0.2}},
-    "joint": {"control": {"coupling": "joint", "kp": 1.0, "relaxation": 0.2}},
-    "penalty": {"control": {"coupling": "penalty", "kp": 1.0, "relaxation": 0.2}},
+    "edge": {"control": {"coupling": "edge", "kp": 1.0}},
+    "joint": {"control": {"coupling": "joint", "kp": 1.0}},
+    "penalty": {"control": {"coupling": "penalty", "kp": 1.0}},
 }
 """What ``--law NAME`` sets, by table."""
 
@@ -42,6 +46,30 @@ REPLACED: Final[Mapping[str, str]] = {
     "network.budget_queue_s": "faults.limit bounds the queue of a link that faults.rate limits",
     "faults.replay": "write [[faults.rule]] with the same faults.seed: the same seed gives the same fates",
     "network.emulate_budget": "faults.rate limits links",
+    "control.clock_skew_max_s": "clocks that are off by more than 50 ms are warned of",
+    "control.relaxation": "it is 0.001 with `--law paper`, else 0.2",
+    "control.send_bound_m": 'with send = "event" it is 5 mm',
+    "control.send_every_s": 'with send = "event" it is twelve periods at most',
+    "avoidance.beacon_hz": "it is 5 Hz; avoidance.beacon_interval_max_s makes beacons fewer",
+    "avoidance.sensing_m": "it follows from the distance in which robots brake",
+    "supervision.slow_after_s": "it is three quarters of control.prediction_horizon_s",
+    "process.priority": "threads that carry messages have 40, agents 41 and plants 42",
+    "robot.mavlink.own_component": "the bridge is component 191",
+    "robot.mavlink.own_system": "the bridge speaks as the vehicle's own system",
+    "robot.mavlink.resume_after_s": "it is 3 s",
+    "robot.mavlink.set_origin": "a vehicle without an origin is given the datum",
+    "faults.distribution": 'it stands in delay: "normal 80ms 20ms"',
+    "faults.jitter": 'it stands in delay: "80ms 20ms"',
+    "faults.rule.distribution": 'it stands in delay: "normal 80ms 20ms"',
+    "faults.rule.jitter": 'it stands in delay: "80ms 20ms"',
+    "faults.rule.dropout": 'write topic = "state" and loss = "10%"',
+    "faults.rule.heading_noise_rad": "robot.heading_noise_rad gives a robot's sensors noise",
+    "faults.rule.position_noise_m": "robot.position_noise_m gives a robot's sensors noise",
+    "faults.rule.speed_noise_mps": "robot.speed_noise_mps gives a robot's sensors noise",
+    "faults.rule.yaw_rate_noise_radps": "robot.yaw_rate_noise_radps gives a robot's sensors noise",
+    "faults.rule.speed_bias_mps": "position_bias_m and heading_bias_rad put measurements off",
+    "faults.rule.yaw_rate_bias_radps": "position_bias_m and heading_bias_rad put measurements off",
+    "faults.rule.jump_probability": "one measurement in a hundred jumps",
 }
 """Fields of former versions, and what replaced each. `robot` stands for `robot_defaults` as well."""
 
@@ -165,14 +193,6 @@ class ControlSection(Sectioned):
     kp: float = setting(
         1.0, "Stiffness of an edge's constraint; 0 is the paper's law.", unit="1/s2", ge=0, le=1e4
     )
-    relaxation: float = setting(
-        0.2,
-        "Below this share of the way from the safe distance to the wanted one the constraint goes on along "
-        "its tangent, instead of to its pole at the safe distance.",
-        unit="ratio",
-        ge=0.001,
-        lt=1,
-    )
     max_acceleration: float = setting(
         5.0,
         "Largest commanded acceleration of the hand point. With `avoidance.enabled` it is at most half of "
@@ -206,25 +226,7 @@ class ControlSection(Sectioned):
     send: Literal["periodic", "event"] = setting(
         "periodic",
         "When hand states are sent: in every period, or at an `event`: when neighbours cannot know by "
-        "themselves what has become of the last one (docs/theory.md, E1).",
-    )
-    send_bound_m: float = setting(
-        0.005,
-        "`event`: how far what neighbours predict of a robot half a second ahead may be off. Above its "
-        "noise.",
-        unit="m",
-        gt=0,
-        le=1,
-    )
-    send_every_s: float | None = setting(
-        None,
-        "`event`: one is sent so often at least. At least one period, at most half of "
-        "`prediction_horizon_s`. Left out: twelve periods, or half of that if it is less; and 0.55 s at most "
-        "where beacons are seldom (`avoidance.beacon_interval_max_s`).",
-        unit="s",
-        gt=0,
-        le=60,
-        example="0.5",
+        "themselves what has become of the last one (docs/theory.md, E1), and at least every twelve periods.",
     )
     plant_timeout_s: float = setting(
         0.2, "An agent whose plant is silent for so long stops. At least two periods.", unit="s", gt=0, le=60
@@ -243,14 +245,6 @@ class ControlSection(Sectioned):
         le=1000,
         example="5.0",
     )
-    clock_skew_max_s: float = setting(
-        0.05,
-        "A neighbour whose clock is found to be further off than this is warned of. Clocks are compared by "
-        "the stamps of messages, within about one period.",
-        unit="s",
-        gt=0,
-        le=60,
-    )
     law: str | None = setting(
         None,
         "The law. A plugin stands in the place of the constraint force and its `coupling`: its class, "
@@ -259,6 +253,12 @@ class ControlSection(Sectioned):
         example='"my_package.my_module:MyLaw"',
     )
     sections: Sections = setting((), "Tables of laws.", sections=tuple)
+
+    @property
+    def relaxation(self) -> float:
+        """Share of the way from the safe distance to the wanted one below which the constraint goes on along
+        its tangent, instead of to its pole at the safe distance. The paper's law hardly does."""
+        return 0.001 if self.coupling == "edge" and self.kp == 0.0 else 0.2
 
 
 @dataclass(frozen=True, slots=True)

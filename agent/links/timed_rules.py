@@ -10,7 +10,6 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.fault_rules import (
     EFFECTS,
     LIMIT,
-    LINK_FIELDS,
     SENSOR_FIELDS,
     Effect,
     Impairments,
@@ -44,22 +43,13 @@ NONE: Final = LinkEffects()
 
 
 def link_effects(settings: Impairments) -> dict[str, Effect[Any]]:
-    """Effects on links that these settings give, by name; jitter and distribution become part of delay."""
+    """Effects on links that these settings give, by name."""
     found: dict[str, Effect[Any]] = {}
     for name in EFFECTS:
         value = getattr(settings, name)
         if value is not None:
             found[name] = value if isinstance(value, Effect) else Effect(value)
-    if "delay" in found and (settings.jitter is not None or settings.distribution is not None):
-        start, end = found["delay"].start, found["delay"].end
-        found["delay"] = Effect(_jittered(start, settings), None if end is None else _jittered(end, settings))
     return found
-
-
-def _jittered(delay: Delay, settings: Impairments) -> Delay:
-    if not settings.jitter:
-        return delay
-    return Delay(settings.distribution or "uniform", delay.mean, settings.jitter)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,17 +101,9 @@ class TimedRule:
 class SensorFaults(NamedTuple):
     """Faults of one measurement; names and units of `agent.fleet.fault_rules.Rule`, 0 for nothing."""
 
-    position_noise_m: float = 0.0
-    heading_noise_rad: float = 0.0
-    speed_noise_mps: float = 0.0
-    yaw_rate_noise_radps: float = 0.0
     position_bias_m: tuple[float, float] = (0.0, 0.0)
     heading_bias_rad: float = 0.0
-    speed_bias_mps: float = 0.0
-    yaw_rate_bias_radps: float = 0.0
     jump_m: float = 0.0
-    jump_probability: float = 0.01
-    dropout: float = 0.0
 
 
 def named(rules: Sequence[Rule], kind: str) -> tuple[Rule, ...]:
@@ -134,7 +116,7 @@ def named(rules: Sequence[Rule], kind: str) -> tuple[Rule, ...]:
 def effects_of(rule: Rule) -> dict[str, Effect[Any]]:
     """Effects of a rule on links, by name; a partition that gives none loses all messages."""
     effects = link_effects(rule)
-    if rule.partition is not None and not rule.given(LINK_FIELDS):
+    if rule.partition is not None and not rule.given(EFFECTS):
         effects["loss"] = _LOST
     return effects
 
@@ -185,6 +167,6 @@ class LinkRules:
             yield "[faults]", self._defaults
 
 
-assert {field.name for field in fields(Impairments)} == set(LINK_FIELDS)
+assert {field.name for field in fields(Impairments)} == set(EFFECTS)
 
 assert SensorFaults._fields == SENSOR_FIELDS

@@ -28,7 +28,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from handfast.agent.fleet.process_section import ABOVE_LINKS, ProcessSection
+from handfast.agent.fleet.process_section import LINKS_PRIORITY, PRIORITIES, ProcessSection
 from handfast.agent.runtime.realtime_granted import (
     CAP_IPC_LOCK,
     KILLED_S,
@@ -64,7 +64,7 @@ class RealTime:
             if section.cpus:
                 with suppress(OSError):  # there are no such cores
                     os.sched_setaffinity(thread, section.cpus)
-            _schedule(thread, os.SCHED_FIFO, section.priority)
+            _schedule(thread, os.SCHED_FIFO, LINKS_PRIORITY)
         _limit_overruns()
         signal.signal(signal.SIGXCPU, self._give_up)
 
@@ -76,7 +76,7 @@ class RealTime:
         """
         if _IS_LINUX:
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-            _schedule(0, policy, self._section.priority_of(self._role))
+            _schedule(0, policy, PRIORITIES[self._role])
         self._log(f"realtime: {said(self._section, self._role, look(os.getpid()), as_unit=_is_unit())}")
 
     def _give_up(self, _number: int, _frame: object) -> None:
@@ -136,12 +136,11 @@ def _is_unit() -> bool:
 def main(argv: Sequence[str] | None = None) -> int:
     """Prints what a process would be granted that is started as this one was."""
     parser = argparse.ArgumentParser(prog="python -m handfast.agent.runtime.realtime", allow_abbrev=False)
-    parser.add_argument("--role", required=True, choices=sorted(ABOVE_LINKS))
-    parser.add_argument("--priority", required=True, type=int)
+    parser.add_argument("--role", required=True, choices=sorted(PRIORITIES))
     parser.add_argument("--cpus", default="")
     options = parser.parse_args(argv)
     cpus = tuple(int(each) for each in options.cpus.split(",") if each)
-    section = ProcessSection(realtime=True, priority=options.priority, cpus=cpus)
+    section = ProcessSection(realtime=True, cpus=cpus)
     RealTime(section, options.role, lambda _: None).lead()
     print(to_json(look(os.getpid())))
     return 0

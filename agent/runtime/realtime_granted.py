@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.fleet.process_section import PRIORITIES, ProcessSection
 
 PRIORITY_MAX: Final = 99
 SCHED_FIFO: Final = 1
@@ -196,7 +196,7 @@ def said(section: ProcessSection, role: str, granted: Granted | None, *, as_unit
     if not lacks:
         return Said(", ".join(has), "")
     advice = list(dict.fromkeys(each for _, each in lacks))
-    names = {"priority": section.priority_max, "user": _user()}
+    names = {"priority": PRIORITIES["plant"], "user": _user()}
     limits = (IN_UNITS if as_unit else IN_LOGINS).format(**names)
     return Said(
         "; ".join([", ".join(has), *(each for each, _ in lacks)]),
@@ -206,9 +206,9 @@ def said(section: ProcessSection, role: str, granted: Granted | None, *, as_unit
 
 def _lacks(section: ProcessSection, role: str, granted: Granted) -> Iterator[tuple[str, str | None]]:
     """What was not granted and what to do about it; None for that: raise its limits."""
-    if granted.fifo < section.priority_of(role):
-        if granted.rtprio < section.priority_max and not granted.privileged:
-            needed = f"{section.priority_max} is needed"
+    if granted.fifo < PRIORITIES[role]:
+        if granted.rtprio < PRIORITIES["plant"] and not granted.privileged:
+            needed = f"{PRIORITIES['plant']} is needed"
             yield f"SCHED_FIFO refused: RLIMIT_RTPRIO is {granted.rtprio}, {needed}", None
         else:
             yield (

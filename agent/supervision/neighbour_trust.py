@@ -1,9 +1,10 @@
 """How far a robot trusts its neighbours, and what it does about those that it cannot trust (PURE).
 
-A neighbour's last state is carried forward as it grows old; from `supervision.slow_after_s` on the robot
-drives slower, and from `control.prediction_horizon_s` on, or as soon as the connection to its agent is lost,
-trust in that edge fades. So it does for a neighbour that is heard but does not follow the law. The
-edge comes back as slowly as trust does. It keeps away from whom it does not trust, too.
+A neighbour's last state is carried forward as it grows old; from three quarters of
+`control.prediction_horizon_s` on the robot drives slower, and from `control.prediction_horizon_s` on, or as
+soon as the connection to its agent is lost, trust in that edge fades. So it does for a neighbour that is
+heard but does not follow the law. The edge comes back as slowly as trust does. It keeps away from whom it
+does not trust, too.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from handfast.agent.control.hand import Hand
 from handfast.agent.control.peers.peer import Peer
 from handfast.agent.control.peers.peers import TRUST_GAINED_S
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import SLOW_SHARE
 from handfast.agent.supervision.overload import Overload
 from handfast.agent.supervision.state_machine import DRIVING, State
 
@@ -46,7 +48,7 @@ class NeighbourTrust:
         self._controller, self._overload = controller, overload
         self.period_s = fleet.period_ns / NS_PER_S
         self._horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
-        self._slow_ns = round(fleet.supervision.slow_from_s(fleet.control.prediction_horizon_s) * NS_PER_S)
+        self._slow_ns = round(SLOW_SHARE * fleet.control.prediction_horizon_s * NS_PER_S)
         self._all_needed = fleet.supervision.silence == "hold"
         self._edges: object = None
         self._drove_ns = -1

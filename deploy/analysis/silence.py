@@ -15,6 +15,7 @@ from handfast.agent.control.peers.beliefs import STANDS_S, said_doubt, stands_af
 from handfast.agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
 from handfast.agent.control.safety_distances import barrier_rate, speed_max
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import SEND_BOUND_M
 from handfast.plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 
 UNSURE_S: Final = UNSURE_NS / NS_PER_S
@@ -68,7 +69,7 @@ def promised(fleet: Fleet, links: Links, *, off_m: float = 0.0, lanes_m: float =
     late_max_s = LATE_MAX_NS / NS_PER_S + 2.0 * rest_s
     promised_s = (fleet.hands_within_ns - fleet.period_ns) / NS_PER_S
     forgiven_s = min(max(0.0, allowed_s + rest_s + promised_s - UNSURE_S), late_max_s)
-    bound_m = control.send_bound_m if control.send == "event" else 0.0
+    bound_m = SEND_BOUND_M if control.send == "event" else 0.0
     braking_s = BRAKE_TIME_S + most / links.deceleration if links.deceleration > 0.0 else inf
     unmet = []
     if not fleet.avoidance.enabled:

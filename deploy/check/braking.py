@@ -11,11 +11,9 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.peers.beliefs import said_doubt
 from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.safety_distances import (
-    AHEAD_M,
     RATE_SHARE,
     acceleration_max,
     barrier_rate,
-    braking_room,
     speed_max,
 )
 from handfast.agent.fleet.mavlink_section import MavlinkSection
@@ -33,12 +31,8 @@ MARGIN_M: Final = 0.05
 """With this margin beyond what the lag asks for, `make chaos` finds no pair below the safe distance."""
 
 
-def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
-    """What speaks against (F4) of docs/theory.md: p V_max is the braking that keeps every distance.
-
-    Args:
-        distance: d_a, m; None for a formation that cannot be resolved.
-    """
+def check_braking(fleet: Fleet) -> Iterator[Finding]:
+    """What speaks against (F4) of docs/theory.md: p V_max is the braking that keeps every distance."""
     if not fleet.avoidance.enabled:
         return
     rate, control = barrier_rate(fleet), fleet.control
@@ -57,7 +51,6 @@ def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
             "or less, or leave it out",
         )
     yield from _bodies(fleet, min(needed, control.max_acceleration))
-    yield from _sensing(fleet, distance)
     yield from _lag(fleet)
 
 
@@ -122,25 +115,6 @@ def _braking(robot: Robot) -> Iterator[tuple[float, str]]:
         yield robot.max_force_n / robot.mass_kg, "max_force_n"
     if robot.max_torque_nm is not None:
         yield robot.hand_offset_m * robot.max_torque_nm / robot.inertia_kgm2, "max_torque_nm"
-
-
-def _sensing(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
-    given, room = fleet.avoidance.sensing_m, braking_room(fleet)
-    if given is None:
-        return
-    if fleet.avoidance.distance_m is None and distance is not None and given <= distance:
-        why = f"above the distance at which robots begin to part, {distance:.4g} m here"
-    elif given < room * (1.0 - _ROUNDING):
-        why = f"the {room:.4g} m in which two robots at {speed_limit(fleet)} can brake"
-    else:
-        return
-    enough = room if distance is None else max(room, distance + AHEAD_M)
-    yield Finding(
-        "warning",
-        "avoidance.sensing_m",
-        f"{given:.4g} m is not {why}: they would notice each other too late; take {enough:.3g} m, or leave "
-        "it out",
-    )
 
 
 def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:

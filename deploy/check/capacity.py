@@ -158,7 +158,7 @@ def slower(fleet: Fleet, rate_hz: float) -> Fleet:
         changes[LOWEST] = min(control.rate_min_hz, rate_hz)
     found = replace(fleet, fleet=replace(fleet.fleet, rate_hz=rate_hz), control=replace(control, **changes))
     later = barrier_rate(found) / barrier_rate(fleet)
-    if fleet.avoidance.enabled and fleet.avoidance.sensing_m is None and later < 1.0:
+    if fleet.avoidance.enabled and later < 1.0:
         changes[SPEED] = floor(100.0 * later * speed_max(fleet)) / 100.0
     return replace(found, control=replace(control, **changes))
 

@@ -246,14 +246,6 @@ def _no_start(
         else:
             text = f"robot {robot}'s plant never gets a command{others} ({why}): it will not move"
         yield Finding("error", place, f"{text}; give an at, or less")
-    for each in rules:
-        if each.rule.dropout == 1.0 and _always(each.rule):
-            who = robots(fleet.ids if each.rule.robots is None else each.rule.robots)
-            yield Finding(
-                "error",
-                f"{each.place}.dropout",
-                f"no measurement of {who} is ever taken: the fleet cannot start; give an at, or less",
-            )
 
 
 def _always(rule: Rule) -> bool:

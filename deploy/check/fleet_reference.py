@@ -70,32 +70,39 @@ def _example() -> str:
 
 
 def _tables() -> Iterator[str]:
+    shown: dict[type, str] = {}
     for entry in entries(Fleet).values():
         model = entry.table or entry.tables
         assert model is not None, f"{entry.key} is not a table: this page has no place for it"
-        yield from _section(entry, entry.key)
+        yield from _section(entry, entry.key, shown)
 
 
-def _section(entry: Entry, name: str, above: type | None = None) -> Iterator[str]:
-    """One table of fields, and the tables within it. Fields that `above` has too are left out."""
+def _section(entry: Entry, name: str, shown: dict[type, str], above: type | None = None) -> Iterator[str]:
+    """One table of fields, and the tables within it. Fields that `above` has too are left out.
+
+    Args:
+        shown: the title of each kind of table so far.
+    """
     model = entry.table or entry.tables
     assert model is not None
     title = _title(entry, name)
-    known = (
-        entries(entry.setting.shared[1] if entry.setting.shared else above)
-        if (entry.setting.shared or above)
-        else {}
-    )
+    if model in shown:
+        text = f"{entry.setting.doc} Its fields are those of `{shown[model]}`."
+        yield f"## `{title}`\n\n{_wrapped(text)}\n"
+        return
+    shown[model] = title
+    others = entry.setting.shared[1] if entry.setting.shared else above
+    known = {field.key: field.setting.doc for field in entries(others).values()} if others else {}
     own = [
         field
         for field in entries(model).values()
-        if field.key not in known and field.key != entry.setting.named
+        if known.get(field.key) != field.setting.doc and field.key != entry.setting.named
     ]
     fields = [_item(_field(field)) for field in own if not (field.table or field.tables)]
     yield f"## `{title}`\n\n{_wrapped(entry.setting.doc)}\n\n" + "\n".join(fields) + "\n"
     for field in own:
         if field.table or field.tables:
-            yield from _section(field, f"{name}.{field.key}", model)
+            yield from _section(field, f"{name}.{field.key}", shown, model)
 
 
 def _title(entry: Entry, name: str) -> str:

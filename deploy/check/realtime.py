@@ -3,31 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from typing import Final
 
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.process_section import ProcessSection
 from handfast.deploy.check.finding import Finding
-
-OF_KERNEL: Final = 50
-"""Priority of the kernel's own threads that serve interrupts, where they are threads (PREEMPT_RT)."""
 
 
 def check_realtime(fleet: Fleet) -> Iterator[Finding]:
-    """What has no effect, and what goes before interrupts are served."""
-    process, default = fleet.process, ProcessSection()
-    if not process.realtime:
-        for name in ("priority", "cpus"):
-            if getattr(process, name) != getattr(default, name):
-                yield Finding("info", f"process.{name}", "nobody asks for it: process.realtime is false")
-    elif process.priority_max >= OF_KERNEL:
-        most = OF_KERNEL - 1 - (process.priority_max - process.priority)
-        yield Finding(
-            "warning",
-            "process.priority",
-            f"{process.priority}: plants get {process.priority_max}, and go before the kernel's threads that "
-            f"serve interrupts, which have {OF_KERNEL} (PREEMPT_RT); give at most {most}",
-        )
+    """What has no effect."""
+    if fleet.process.cpus and not fleet.process.realtime:
+        yield Finding("info", "process.cpus", "nobody asks for it: process.realtime is false")
 
 
 def check_cores(fleet: Fleet, there: Collection[int]) -> Iterator[Finding]:

@@ -38,7 +38,7 @@ def check_safety(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
         )
     yield from _starts(fleet, obstacles, fence, keep)
     yield from _gaps(obstacles, keep)
-    yield from check_braking(fleet, None if geometry is None else parting(fleet, geometry)[0])
+    yield from check_braking(fleet)
     if geometry is None:
         return
     yield from _distances(fleet, geometry)

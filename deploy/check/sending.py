@@ -8,7 +8,7 @@ from typing import Final
 
 from handfast.agent.control.event_trigger import LOOKAHEAD_S
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.sections import Robot
+from handfast.agent.fleet.sections import SEND_BOUND_M, Robot
 from handfast.deploy.check.finding import Finding
 from handfast.deploy.console.wording import robots
 
@@ -20,19 +20,7 @@ def check_sending(fleet: Fleet) -> Iterator[Finding]:
     """What makes event-sent hand states pointless, or dangerous."""
     control = fleet.control
     if control.send == "periodic":
-        if control.send_every_s is not None:
-            yield Finding("info", "control.send_every_s", 'nobody asks for it: control.send is "periodic"')
         return
-    period_s = fleet.period_ns / 1e9
-    within_s = fleet.hands_within_ns / 1e9
-    if within_s < 2.0 * period_s * (1.0 - 1e-9):
-        yield Finding(
-            "warning",
-            "control.send_every_s",
-            f"{within_s:.4g} s: a hand state is sent in every period of {period_s:.4g} s, whatever happens; "
-            f"give more, up to half of control.prediction_horizon_s = {control.prediction_horizon_s:g} s, "
-            "which may be longer itself",
-        )
     if not control.prediction:
         yield Finding(
             "warning",
@@ -48,30 +36,20 @@ def check_sending(fleet: Fleet) -> Iterator[Finding]:
             "period in which the law asks for more than navigation does, or changes its numbers; and all "
             "keep further from a robot, the longer it is silent",
         )
-    margin, bound = fleet.avoidance.margin_m, control.send_bound_m
-    if fleet.avoidance.enabled and bound > 0.5 * margin:
-        yield Finding(
-            "warning",
-            "control.send_bound_m",
-            f"{bound:g} m is more than half of avoidance.margin_m = {margin:g} m: robots keep so much "
-            "further from each other",
-        )
     yield from _check_noise(fleet)
 
 
 def _check_noise(fleet: Fleet) -> Iterator[Finding]:
-    bound = fleet.control.send_bound_m
     off = {robot.id: _off(fleet, robot) for robot in fleet.robots}
-    noisy = [robot for robot, by in off.items() if QUIET * by > bound]
+    noisy = [robot for robot, by in off.items() if QUIET * by > SEND_BOUND_M]
     if not noisy:
         return
     worst = max(noisy, key=lambda robot: off[robot])
     yield Finding(
         "warning",
-        "control.send_bound_m",
-        f"{bound:g} m: measurement noise alone puts predictions of {robots(noisy)} off by {off[worst]:.2g} m "
-        "on average, so that they send much oftener than they need, up to every period; "
-        f"{QUIET * off[worst]:.2g} m or more would be right",
+        "control.send",
+        f"measurement noise alone puts predictions of {robots(noisy)} off by {off[worst]:.2g} m on average: "
+        'they send hand states in nearly every period, as with "periodic"',
     )
 
 

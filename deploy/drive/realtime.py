@@ -190,7 +190,7 @@ def trial(section: ProcessSection) -> dict[str, Granted | None]:
 
 
 def _tried(section: ProcessSection, role: str) -> Granted | None:
-    arguments = ["--role", role, "--priority", str(section.priority)]
+    arguments = ["--role", role]
     if section.cpus:
         arguments += ["--cpus", ",".join(map(str, section.cpus))]
     words: Sequence[str] = words_of(TRIAL, arguments)

@@ -11,6 +11,7 @@ import numpy as np
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.agent.formation.geometry import Geometry
 from handfast.agent.formation.reference import Edge, Reference
 from handfast.agent.links.fault_plan import FaultPlan
@@ -303,7 +304,7 @@ class Watch:
     def _robot(self, status: Status | None, error: float | None) -> RobotPicture:
         if status is None:
             return RobotPicture("", "nothing heard yet", None, None, None, 0)
-        limit_us = self._fleet.control.clock_skew_max_s * 1e6
+        limit_us = CLOCK_SKEW_MAX_S * 1e6
         # Beyond the limit for sure: the estimate is off by its error at most.
         off = [
             (robot, offset_us / 1e6)

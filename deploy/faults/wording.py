@@ -10,7 +10,7 @@ from handfast.agent.common.models import plain
 from handfast.agent.common.quantities import UNITS, text
 from handfast.agent.common.settings import entries
 from handfast.agent.fleet.fault_rules import (
-    LINK_FIELDS,
+    EFFECTS,
     PROCESS_FIELDS,
     SENSOR_FIELDS,
     Effect,
@@ -58,7 +58,7 @@ def effects_text(effects: Mapping[str, Effect[Any]]) -> str:
 
 def gives_link_effects(settings: Impairments) -> bool:
     """Whether an effect on links is written."""
-    return any(getattr(settings, name) is not None for name in LINK_FIELDS)
+    return any(getattr(settings, name) is not None for name in EFFECTS)
 
 
 def acts_on_links(rule: Rule) -> bool:

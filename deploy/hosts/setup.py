@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.deploy.hosts.artifacts import systemd_units
 from handfast.deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for
 from handfast.deploy.hosts.connection import Clock, HostConnection, HostError
@@ -170,8 +171,8 @@ def _clock_warnings(fleet: Fleet, clock: Clock) -> list[str]:
     way = f"its clock is {off_s:.2f} s {'ahead of' if clock.offset_s > 0 else 'behind'} this machine's"
     if off_s > CLOCK_ERROR_MAX_S + clock.error_s:
         raise HostError(f"{way}: set it first, by chrony or systemd-timesyncd (timedatectl)")
-    if off_s > fleet.control.clock_skew_max_s + clock.error_s:
-        return [f"{way}, more than control.clock_skew_max_s: set it by chrony or systemd-timesyncd"]
+    if off_s > CLOCK_SKEW_MAX_S + clock.error_s:
+        return [f"{way}, more than {CLOCK_SKEW_MAX_S:g} s: set it by chrony or systemd-timesyncd"]
     return []
 
 

@@ -16,6 +16,7 @@ from rich.text import Text
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.agent.messages.types import Status
 from handfast.agent.security.certificates import DAY_S, until
 from handfast.agent.security.identity import Identity, IdentityError, of_robot, of_router, parse
@@ -177,14 +178,12 @@ def _row(unit: str, host: HostStatus) -> dict[str, Any]:
 def print_table(
     rows: Sequence[Mapping[str, Any]],
     found: Mapping[str, HostStatus],
-    clock_skew_max_s: float,
     *,
     each: bool = False,
 ) -> None:
     """Prints the table, and a line for each host.
 
     Args:
-        clock_skew_max_s: a host whose clock is further off is not well.
         each: also where there are many robots; else of these only those are shown where something is wrong,
             and the rest is summed up.
     """
@@ -196,7 +195,7 @@ def print_table(
             versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
     sums: list[str] = []
     if not each and len(_robots(rows)) > FEW:
-        rows, found, sums = _wrong(rows, found, clock_skew_max_s)
+        rows, found, sums = _wrong(rows, found)
     # A pipe has no width of its own: there each process is one line, however long.
     width = None if sys.stdout.isatty() else PIPE_WIDTH
     console = Console(highlight=False, soft_wrap=True, width=width)
@@ -262,13 +261,11 @@ def _robots(rows: Sequence[Mapping[str, Any]]) -> set[int]:
 
 
 def _wrong(
-    rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus], clock_skew_max_s: float
+    rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus]
 ) -> tuple[list[Mapping[str, Any]], dict[str, HostStatus], list[str]]:
     """Those rows and hosts where something is wrong, and sums of all of them, a line each."""
     is_heard = any(row["state"] for row in rows)
-    wrong_hosts = {
-        name: host for name, host in found.items() if host.error or _is_off(host.clock, clock_skew_max_s)
-    }
+    wrong_hosts = {name: host for name, host in found.items() if host.error or _is_off(host.clock)}
     wrong = [
         row
         for row in rows
@@ -291,8 +288,8 @@ def _wrong(
     return wrong, wrong_hosts, lines
 
 
-def _is_off(clock: Clock | None, most_s: float) -> bool:
-    return clock is not None and abs(clock.offset_s) - clock.error_s > most_s
+def _is_off(clock: Clock | None) -> bool:
+    return clock is not None and abs(clock.offset_s) - clock.error_s > CLOCK_SKEW_MAX_S
 
 
 def _counted(counts: Counter[str]) -> str:

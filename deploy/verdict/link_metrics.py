@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Rule
+from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.agent.formation.points import Floats
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.timed_rules import link_effects
@@ -226,12 +227,12 @@ def clock_offsets(recording: Recording) -> list[dict[str, Any]]:
 
 
 def clock_warnings(recording: Recording, offsets: list[dict[str, Any]]) -> list[str]:
-    """One sentence for each robot whose clock is off by more than `control.clock_skew_max_s`.
+    """One sentence for each robot whose clock is off by more than `CLOCK_SKEW_MAX_S`.
 
     Two robots alone cannot tell whose clock is wrong. The one that most others disagree with is named. What
     one end of a link says and the other denies counts for nothing: both find the same offset.
     """
-    limit_ms = 1e3 * recording.fleet.control.clock_skew_max_s
+    limit_ms = 1e3 * CLOCK_SKEW_MAX_S
     wrong: dict[frozenset[int], list[tuple[int, int, float, float]]] = {}
     denied: set[frozenset[int]] = set()
     for entry in offsets:
@@ -261,7 +262,7 @@ def clock_warnings(recording: Recording, offsets: list[dict[str, Any]]) -> list[
         out.append(
             f"Robot {culprit}'s clock is {abs(ahead):.3f} s {way} "
             f"{'that' if len(seen) == 1 else 'those'} of {robots(sorted(seen))}, within {error:.3f} s, as "
-            f"their messages tell; {limit_ms / 1e3:g} s is allowed (control.clock_skew_max_s)."
+            f"their messages tell; {limit_ms / 1e3:g} s is allowed."
             + (" It may be the other one's that is wrong." if len(seen) == 1 else "")
         )
     return out

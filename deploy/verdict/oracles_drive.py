@@ -11,7 +11,7 @@ from handfast.agent.common.quantities import DISTANCE_MIN
 from handfast.agent.control.boundaries import fence_of, obstacles_of
 from handfast.agent.control.safety_distances import avoidance_distance, barrier_rate, speed_max
 from handfast.agent.control.safety_distances import clearance as clearance_of
-from handfast.agent.fleet.fault_rules import ACTION_FIELDS, LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
+from handfast.agent.fleet.fault_rules import ACTION_FIELDS, EFFECTS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.points import Floats
 from handfast.agent.formation.trajectory import maximum_speed
@@ -100,7 +100,7 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     rows = a.grid >= last_s + RECOVERED_S
     plan = FaultPlan(fleet)
     rules = (_whole(fleet), *(span.rule for span in windows(recording)))
-    lossy = any(is_constant(rule) and rule.given(LINK_FIELDS) for rule in rules)
+    lossy = any(is_constant(rule) and rule.given(EFFECTS) for rule in rules)
     gone = {
         robot
         for robot in recording.ids
@@ -293,7 +293,7 @@ def formed_by_s(way_m: float, course_mps: float, fleet: Fleet) -> float:
 
 def _whole(fleet: Fleet) -> Rule:
     """What the fleet file says of all links."""
-    return Rule(**{name: getattr(fleet.faults, name) for name in LINK_FIELDS})
+    return Rule(**{name: getattr(fleet.faults, name) for name in EFFECTS})
 
 
 def errors(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
@@ -305,7 +305,7 @@ def errors(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
     others = (*PROCESS_FIELDS, *SENSOR_FIELDS)
     only_links = all(is_constant(rule) and not rule.given(others) for rule in rules)
     if (
-        not (rules or _whole(fleet).given(LINK_FIELDS))
+        not (rules or _whole(fleet).given(EFFECTS))
         or not only_links
         or a.settling_s is None
         or recording.events

@@ -126,7 +126,7 @@ def test_a_rate_above_what_it_can_do_is_refused_and_a_lower_one_taken(field: Fie
     loop_hz = vehicle.link.parameter(constants.SCHED_LOOP_RATE)
     if loop_hz is None or constants.STREAM_RATE_PART * loop_hz >= 50.0:
         pytest.skip(f"its loop rate is {loop_hz}: it grants 50 Hz")
-    greedy = Session(SessionSettings(state_rate_hz=50.0, set_origin=False, own_component=192))
+    greedy = Session(SessionSettings(state_rate_hz=50.0, component=192))
     shared = vehicle.tee.other()
 
     def granted() -> float | None:

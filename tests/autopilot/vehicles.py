@@ -190,7 +190,7 @@ class Field:
 
     def _survey(self, transport: Tee, place: Place) -> Geodetic:
         """Where the first one has the origin of its EKF."""
-        link = Session(SessionSettings(set_origin=False))
+        link = Session(SessionSettings())
         deadline = time.monotonic() + BOOT_S
         while link.origin is None or link.system is None:
             now_ns = self.wait()

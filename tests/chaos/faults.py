@@ -151,7 +151,7 @@ def _jitter(dice: Dice, ids: Sequence[int], trouble_s: float) -> Tables:
 
 
 def _dropout(dice: Dice, ids: Sequence[int], trouble_s: float) -> Tables:
-    rule: Tables = {"robot": dice.pick(ids), "dropout": _percent(dice, 1.0, 30.0)}
+    rule: Tables = {"robot": dice.pick(ids), "topic": "state", "loss": _percent(dice, 1.0, 30.0)}
     return rule | _window(dice, trouble_s, trouble_s)
 
 

@@ -100,7 +100,7 @@ def test_every_feature_is_drawn_in_some_scenario(drawn: dict[int, Tables]) -> No
         found += parts(tables)
     orders = {"join", "leave", "replace", "remove", "reshape", "stop", "resume"}
     faults = {
-        "clock_skew", "corrupt", "delay", "dropout", "duplicate", "loss", "partition", "range", "reorder",
+        "clock_skew", "corrupt", "delay", "duplicate", "loss", "partition", "range", "reorder",
         "tick_jitter", "tick_jitter_share", "kill agent", "kill agent for good", "kill both for good",
         "kill plant", "pause agent", "restart agent",
     }  # fmt: skip

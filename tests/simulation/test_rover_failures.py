@@ -142,18 +142,6 @@ def test_two_bridges_that_start_at_once_both_keep_off() -> None:
         assert bridge.reading.note == OWN_ID
 
 
-def test_a_bridge_with_an_identity_of_its_own_is_found_too() -> None:
-    scene = Scene(ports=2)
-    scene.drive()
-    fleet = Scene("robot_defaults.mavlink.own_component=192").fleet
-    scene.bridges.append(Bridge(scene.world, 1, fleet))
-    scene.bridges[1].command = Command(-MASS, 0.0)
-    scene.run(6.0)
-    assert scene.bridges[1].setpoints() == []
-    assert "another onboard controller" in scene.bridges[1].reading.note
-    assert scene.bridge.reading.obeying
-
-
 # ---------------------------------------------------------------------- the vehicle
 
 
@@ -471,13 +459,6 @@ def test_a_cold_rover_takes_the_datum_for_its_origin() -> None:
     assert (scene.bridge.reading.pose.x, scene.bridge.reading.pose.y) == pytest.approx(
         scene.pose[:2], abs=0.06
     )
-
-
-def test_told_not_to_it_gives_no_origin() -> None:
-    scene = Scene("robot_defaults.mavlink.set_origin=false", boot="cold", boot_s=10.0)
-    scene.until(lambda: scene.bridge.reading.obeying, 20.0)
-    assert scene.bridge.port.messages("SET_GPS_GLOBAL_ORIGIN") == []
-    assert not scene.bridge.link.origin_ours
 
 
 def test_a_rover_50_km_from_the_datum_is_not_driven() -> None:

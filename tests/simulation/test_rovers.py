@@ -434,14 +434,3 @@ def test_one_that_steers_by_its_front_wheels_is_not_cleared() -> None:
     scene.until(lambda: not scene.bridge.reading.obeying, 10.0)
     assert abs(frames.heading_from_yaw(scene.rover.yaw) - scene.fleet.robot(1).heading_rad) < 0.05
     assert "does not follow its commands: asked for " in scene.bridge.reading.note
-
-
-def test_a_rover_that_drops_what_the_bridge_says_is_told_as_that() -> None:
-    scene = Scene("robot_defaults.mavlink.own_system=7", parameters={"SYSID_ENFORCE": 1.0})
-    scene.bridge.command = GO
-    scene.run(8.0)
-    assert scene.rover.speed == 0.0
-    assert not scene.bridge.reading.healthy
-    assert "answers nothing: it may have SYSID_ENFORCE = 1 " in scene.bridge.reading.note
-    scene.rover.set_parameter("SYSID_ENFORCE", 0.0)
-    scene.until(lambda: scene.bridge.reading.healthy, 10.0)

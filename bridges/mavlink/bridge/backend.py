@@ -36,6 +36,9 @@ CHECKS_DRIVING_NS: Final = 2 * NS_PER_S
 """All is looked at so often: before a drive, and in one, where only the battery is shown."""
 COMMAND_PERIOD_NS: Final = NS_PER_S // 50 - NS_PER_S // 1000
 """Setpoints go out at every tick, but no faster than 50 Hz: the vehicle's own loop is not faster."""
+RESUME_AFTER_NS: Final = 3 * NS_PER_S
+"""Silence of a vehicle after which it is driven again only when the fleet is told to resume: its operator may
+have had it meanwhile."""
 BRAKE_AT_REST_NS: Final = NS_PER_S
 BRAKE_NS_MAX: Final = 3 * NS_PER_S
 """Zero setpoints are sent until the vehicle has stood for the first, at most for the second: silence stops it
@@ -116,7 +119,7 @@ class MavlinkPlant(PlantBackend):
         self._known = self._located = self._placed = False
         self._placed_ns = 0
         self._jumped = ""  # how far its position was off when it came back, until the fleet is told to go on
-        self._resume_after_ns = round(section.resume_after_s * NS_PER_S)
+        self._resume_after_ns = RESUME_AFTER_NS
         self._heartbeat_ns: int | None = None
         self._reboots = 0
         self._failsafe: Final = OwnFailsafe()

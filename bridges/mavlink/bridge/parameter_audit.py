@@ -34,7 +34,7 @@ def parameters(link: Session, section: MavlinkSection, now_ns: int) -> Iterator[
     if not link.parameters_done:
         yield Check("parameters", "blocking", f"{WAITING}its parameters")
         return
-    lines = [*_failsafes(link), *_fence(link), *_limits(link, section), *_ids(link, section, now_ns)]
+    lines = [*_failsafes(link), *_fence(link), *_limits(link, section), *_ids(link, now_ns)]
     read = sum(value is not None for value in link.parameters.values())
     looked_at = (*_FAILSAFES, constants.FENCE_ENABLE, constants.AVOID_ENABLE)
     untold = [name for name in looked_at if name in link.parameters and link.parameters[name] is None]
@@ -114,25 +114,15 @@ def _name(link: Session, names: tuple[str, str]) -> str:
     return next((name for name in names if link.parameters.get(name) is not None), names[-1])
 
 
-def _ids(link: Session, section: MavlinkSection, now_ns: int) -> Iterator[Check]:
-    own = section.own_system or link.system
-    mine, enforce = _name(link, constants.GROUND_STATION_ID), _name(link, constants.ENFORCE)
+def _ids(link: Session, now_ns: int) -> Iterator[Check]:
+    own, mine = link.system, _name(link, constants.GROUND_STATION_ID)
     station = link.parameter(constants.GROUND_STATION_ID)
     usual = constants.SYSTEM_GROUND_STATION
-    enforced = int(link.parameter(constants.ENFORCE) or 0.0) & constants.OPTION_ENFORCE
-    if enforced and own not in (link.system, station):
-        text = (
-            f"it obeys its own system {link.system} and its ground station {station or usual:g} only, and "
-            f"the bridge is system {own}"
-        )
-        yield Check(enforce, "blocking", text, "leave own_system out")
     set_it = f"set {mine} to the system id of its ground station, {usual} as a rule"
     if station is not None and own == station:
         text = (
             f"{station:g} is the bridge's own system: the ground station failsafe would count its heartbeats"
         )
-        if section.own_system not in (None, link.system):
-            set_it += ", or leave own_system out"
         yield Check(mine, "warning", text, set_it)
     heard = [system for system, _ in link.ground_stations(now_ns)]
     watched = station if link.parameter(constants.FS_GCS_ENABLE) else None

@@ -84,8 +84,8 @@ class Receiver:
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._on_version,
         }
         self._codec = Codec(self._handlers, settings.signing)
-        self._codec.srcSystem = settings.own_system or settings.system or 1
-        self._codec.srcComponent = settings.own_component
+        self._codec.srcSystem = settings.system or 1
+        self._codec.srcComponent = settings.component
         self._commands = Commands()
         self._streams = Streams(wanted_messages(settings.state_rate_hz))
         self._participants = Participants()
@@ -187,8 +187,7 @@ class Receiver:
         meant = self.settings.system in (None, system) and 1 <= system < constants.SYSTEM_GROUND_STATION
         if autopilot and self.system is None and meant:
             self.system = system
-            if self.settings.own_system is None:
-                self._codec.srcSystem = system
+            self._codec.srcSystem = system
         if autopilot and system == self.system:
             return
         token = self.settings.token

@@ -303,7 +303,7 @@ class Session(Receiver):
         again_ns = ORIGIN_PERIOD_NS if self.origin is None else ORIGIN_AGAIN_NS
         if self._is_due("origin", now_ns, again_ns):
             datum = self.settings.datum
-            if self.origin is None and self.settings.set_origin and datum is not None and not self.problem:
+            if self.origin is None and datum is not None and not self.problem:
                 place = reports.scaled(datum)
                 out.append(dialect.MAVLink_set_gps_global_origin_message(system, *place, now_ns // 1000))
             out.append(_request_message(system, constants.MESSAGE_GPS_GLOBAL_ORIGIN))

@@ -111,7 +111,7 @@ def _status(options: argparse.Namespace) -> int:
         }
         print(json.dumps(about, indent=2))
     else:
-        print_table(seen.rows, seen.hosts, fleet.control.clock_skew_max_s, each=options.each)
+        print_table(seen.rows, seen.hosts, each=options.each)
         for line in (*seen.lines, *in_words(seen.bodies), *summary(seen.expiries, now_s)):
             print(line)
         if seen.older_mission:

@@ -19,6 +19,7 @@ from typing import Final
 from handfast.agent.common.exit import BAD_INPUT
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.process_section import PRIORITIES
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.security.identity import of_robot, of_router
 from handfast.deploy.hosts.artifacts import sandboxing
@@ -161,7 +162,7 @@ def _realtime_limits(fleet: Fleet) -> Sequence[str]:
     """What its process may ask for. It asks itself (`agent.runtime.realtime`): where a user's systemd may not
     grant a CPUSchedulingPolicy= it does not start the unit at all (214/SETSCHEDULER), while of limits above
     its own it gives as much as it has; and an interpreter that starts need not run before everything else."""
-    return f"LimitRTPRIO={fleet.process.priority_max}", "LimitMEMLOCK=infinity"
+    return f"LimitRTPRIO={PRIORITIES['plant']}", "LimitMEMLOCK=infinity"
 
 
 def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:

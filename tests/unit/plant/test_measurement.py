@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, pi
+from math import pi
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.points import Floats
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.messages.types import Faults
-from handfast.plant.measurement import Measurement
+from handfast.plant.measurement import JUMP_SHARE, Measurement
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0%s }, { id = 2, x_m = 2, y_m = 0%s }]
@@ -23,10 +23,9 @@ fleet = { name = "two", seed = %d }
 formation = { edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }
 faults = { rule = [%s] }
 """
-NOISE = (
-    "position_noise_m = 0.01, heading_noise_rad = 0.02, speed_noise_mps = 0.03, yaw_rate_noise_radps = 0.04"
+NOISY = (
+    ", position_noise_m = 0.01, heading_noise_rad = 0.02, speed_noise_mps = 0.03, yaw_rate_noise_radps = 0.04"
 )
-NOISY = ", " + NOISE
 DEVIATIONS = np.array([0.01, 0.01, 0.02, 0.03, 0.04])
 POSE = Pose(1.0, -2.0, 0.5, 0.3, -0.1)
 COUNT = 5000
@@ -55,19 +54,12 @@ def errors(made: Fleet, robot: int = 1, count: int = COUNT) -> Floats:
 # ---------------------------------------------------------------------- noise
 
 
-@pytest.mark.parametrize(("body", "rules"), [(NOISY, ""), ("", "{ " + NOISE + " }")])
-def test_noise_has_its_deviations_and_no_bias(body: str, rules: str):
-    found = errors(fleet(body, rules))
+def test_noise_has_its_deviations_and_no_bias():
+    found = errors(fleet(NOISY))
     assert found.std(axis=0) == pytest.approx(DEVIATIONS, rel=0.04)
     assert np.all(np.abs(found.mean(axis=0)) < 4.0 * DEVIATIONS / np.sqrt(COUNT))
     for column, deviation in zip(found.T, DEVIATIONS, strict=True):
         assert stats.kstest(column / deviation, "norm").pvalue > 1e-3
-
-
-def test_variances_of_body_and_fault_add():
-    found = errors(fleet(NOISY, "{ robot = 1, position_noise_m = 0.03, yaw_rate_noise_radps = 0.03 }"))
-    wanted = [hypot(0.01, 0.03), hypot(0.01, 0.03), 0.02, 0.03, hypot(0.04, 0.03)]
-    assert found.std(axis=0) == pytest.approx(wanted, rel=0.04)
 
 
 def test_noise_of_quantities_numbers_and_robots_is_independent():
@@ -95,51 +87,27 @@ def test_one_noisy_quantity_leaves_the_others_exact():
     assert told.heading != POSE.heading
 
 
-# ---------------------------------------------------------------------- biases, jumps, dropouts
+# ---------------------------------------------------------------------- biases, jumps
 
 
 def test_biases_are_added():
     place = "position_bias_m = [0.5, -0.25], heading_bias_rad = -0.5"
-    rates = "speed_bias_mps = 1, yaw_rate_bias_radps = 2"
-    measurement, _ = sensors(fleet("", "{ " + place + ", " + rates + " }"))
-    assert measurement.measured(POSE, 0, 0) == Pose(1.5, -2.25, 0.0, 1.3, 1.9)
+    measurement, _ = sensors(fleet("", "{ " + place + " }"))
+    assert measurement.measured(POSE, 0, 0) == Pose(1.5, -2.25, 0.0, 0.3, -0.1)
 
 
 def test_jumps_are_of_their_length_and_share_in_every_direction():
-    found = errors(fleet("", '{ jump_m = 0.5, jump_probability = "20%" }'))
+    found = errors(fleet("", "{ jump_m = 0.5 }"), count=4 * COUNT)
     assert np.all(found[:, 2:] == 0.0)
     lengths = np.hypot(found[:, 0], found[:, 1])
     jumped = lengths > 0.0
     assert lengths[jumped] == pytest.approx(0.5)
-    low, high = stats.binom.interval(0.999, COUNT, 0.2)
+    low, high = stats.binom.interval(0.999, 4 * COUNT, JUMP_SHARE)
     assert low <= jumped.sum() <= high
     angles = np.arctan2(found[jumped, 1], found[jumped, 0])
     assert stats.kstest((angles + pi) / (2 * pi), "uniform").pvalue > 1e-3
     # One jump tells nothing of the next measurement.
-    assert abs(np.corrcoef(jumped[:-1], jumped[1:])[0, 1]) < 4.5 / np.sqrt(COUNT)
-
-
-def test_one_measurement_in_a_hundred_jumps_where_no_share_is_given():
-    jumped = errors(fleet("", "{ jump_m = 0.5 }"))[:, 0] != 0.0
-    low, high = stats.binom.interval(0.999, COUNT, 0.01)
-    assert low <= jumped.sum() <= high
-
-
-def test_dropouts_come_with_their_share():
-    measurement, _ = sensors(fleet(NOISY, '{ dropout = "30%" }'))
-    dropped = sum(measurement.measured(POSE, 0, sequence) is None for sequence in range(COUNT))
-    low, high = stats.binom.interval(0.999, COUNT, 0.3)
-    assert low <= dropped <= high
-
-
-def test_what_drops_out_is_not_drawn_with_what_jumps():
-    """The same share of both: no stream is used twice."""
-    measurement, _ = sensors(fleet("", "{ dropout = 0.5, jump_m = 1, jump_probability = 0.5 }"))
-    told = [measurement.measured(POSE, 0, sequence) for sequence in range(COUNT)]
-    kept = [pose for pose in told if pose is not None]
-    jumped = sum(pose != POSE for pose in kept)
-    low, high = stats.binom.interval(0.999, len(kept), 0.5)
-    assert low <= jumped <= high
+    assert abs(np.corrcoef(jumped[:-1], jumped[1:])[0, 1]) < 4.5 / np.sqrt(4 * COUNT)
 
 
 # ---------------------------------------------------------------------- when it is exact
@@ -152,22 +120,22 @@ def test_without_noise_and_rules_the_pose_is_told_as_it_is():
 
 
 def test_a_rule_acts_while_it_holds_and_on_its_robots():
-    made = fleet("", "{ robot = 1, at = 1, for = 2, speed_bias_mps = 0.5 }")
-    for robot, wanted in ((1, [0.3, 0.8, 0.8, 0.3]), (2, [0.3] * 4)):
+    made = fleet("", "{ robot = 1, at = 1, for = 2, heading_bias_rad = 0.5 }")
+    for robot, wanted in ((1, [0.5, 1.0, 1.0, 0.5]), (2, [0.5] * 4)):
         measurement, plan = sensors(made, robot)
         plan.begin(NS_PER_S)
         told = [measurement.measured(POSE, time_s * NS_PER_S, 0) for time_s in (1, 2, 3, 4)]
-        assert [pose and pose.speed for pose in told] == wanted
+        assert [pose.heading for pose in told] == wanted
         assert measurement.exact == (robot == 2)
 
 
 def test_live_rules_count_from_when_they_come_until_they_go():
     measurement, plan = sensors(fleet())
     assert measurement.exact
-    text = "[[faults.rule]]\nrobot = 1\nspeed_bias_mps = 0.5"
+    text = "[[faults.rule]]\nrobot = 1\nheading_bias_rad = 0.5"
     assert plan.take(Faults(1, 0, "ana@lab:1", 0, NS_PER_S, text), 0) is None
     assert not measurement.exact
-    assert measurement.measured(POSE, 5, 0) == POSE._replace(speed=0.8)
+    assert measurement.measured(POSE, 5, 0) == POSE._replace(heading=1.0)
     assert plan.expire(NS_PER_S)
     assert measurement.exact
     assert measurement.measured(POSE, NS_PER_S, 0) == POSE

@@ -37,7 +37,7 @@ WAITS = ("control.plant_timeout_s=2", "control.wrench_timeout_s=2")
         ((*WAITS, "control.rate_min_hz=50"), 0, "control.rate_min_hz = 50 Hz"),
         ((*WAITS, "control.rate_min_hz=1"), 3, "no period is longer than 0.25 s"),
         ((*WAITS, "control.rate_min_hz=1", "avoidance.barrier_rate=2"), 2, "avoidance.barrier_rate = 2 1/s"),
-        (("control.prediction_horizon_s=0.2",), 1, "supervision.slow_after_s = 0.15 s is less"),
+        (("control.prediction_horizon_s=0.2",), 1, "0.75 control.prediction_horizon_s = 0.15 s is less"),
         (("control.coupling=penalty",), 0, "of this control.coupling only control.rate_min_hz"),
         (("control.kd=20", "control.coupling=edge"), 0, "the gains of the law are too high for 25 Hz"),
     ],

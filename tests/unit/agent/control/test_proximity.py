@@ -28,7 +28,7 @@ FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1, y_m = 0 }, { id = 3, x_m = 5, y_m = 0 }]
 fleet = { name = "few" }
 formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 3]], safe_distance_m = 0.2 }
-avoidance = { distance_m = 0.5, sensing_m = 2.0 }
+avoidance = { distance_m = 1.1 }
 obstacle = [{ name = "shed", centre_m = [3, 3], radius_m = 0.5 }]
 geofence = { points_m = [[-10, -10], [10, -10], [10, 10], [-10, 10]], warn_m = 0.4 }
 """
@@ -303,8 +303,8 @@ def test_without_avoidance_there_are_no_obstacles():
 
 def test_distances_are_those_of_the_file_and_of_the_formation_in_force():
     scene = Scene()
-    assert (scene.proximity.distance, scene.proximity.sensing, scene.proximity.clearance) == (0.5, 2.0, 0.1)
-    made = parse_fleet(FLEET.replace("distance_m = 0.5, ", ""), source="here")
+    assert (scene.proximity.distance, scene.proximity.sensing, scene.proximity.clearance) == (1.1, 2.0, 0.1)
+    made = parse_fleet(FLEET.replace("distance_m = 1.1", ""), source="here")
     proximity = Proximity(made, 1, scene.peers)
     wide = Mission(1, 0, T0, S, "", robots=((1, 0.0, 0.0), (2, 3.0, 0.0)), edges=((1, 2, 3.0),))
     for mission, distance in ((Mission(1, 0, T0, S, ""), 0.6), (wide, 1.6)):

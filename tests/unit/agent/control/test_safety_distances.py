@@ -113,7 +113,6 @@ def test_robots_come_to_their_speed_as_fast_as_the_loop_carries_however_slowly_t
 
 
 def test_who_is_near_is_listened_to_in_time_to_brake() -> None:
-    assert sensing_distance(small("avoidance.sensing_m=1.0"), 0.6) == 1.0
     assert sensing_distance(small(), 0.6) == pytest.approx(1.5)
     fast = small("control.max_speed_mps=6", "control.max_acceleration=9", "avoidance.margin_m=0.1")
     assert braking_room(fast) == pytest.approx(0.2 + 0.1 + 2.0 * 6.0 / 1.5)

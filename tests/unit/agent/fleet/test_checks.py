@@ -136,8 +136,8 @@ def test_any_number_of_vehicles_may_be_simulated() -> None:
         ),
         (
             MIXED,
-            ["robot.3.mavlink.own_system=255"],
-            ["--set robot.3.mavlink.own_system: must be between 1 and 254, got 255"],
+            ["robot.3.mavlink.system=255"],
+            ["--set robot.3.mavlink.system: must be between 1 and 254, got 255"],
         ),
         (
             MIXED,
@@ -224,7 +224,6 @@ def test_round_trip_of_vehicles(text: str) -> None:
     assert parse_fleet(tomli_w.dumps(table), source="again") == fleet
     assert table["datum"] == {"latitude_deg": -35.363261, "longitude_deg": 149.16523, "altitude_m": 584.0}
     assert table["robot"][0]["mavlink"]["system"] == 7
-    assert "own_system" not in table["robot"][0]["mavlink"]
     assert "datum" not in to_dict(small())
 
 

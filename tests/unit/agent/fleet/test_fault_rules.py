@@ -41,11 +41,10 @@ def test_a_file_without_faults_has_none() -> None:
 
 
 def test_the_command_line_sets_defaults_of_all_links() -> None:
-    overrides = ("faults.delay=200ms", "faults.loss=30%", "faults.jitter=20ms", "faults.seed=7")
+    overrides = ("faults.delay=200ms", "faults.loss=30%", "faults.seed=7")
     section = parse_fleet(FLEET, source="here", overrides=overrides).faults
     assert str(section.delay) == "200ms"
     assert str(section.loss) == "30%"
-    assert section.jitter == 0.02
     assert section.seed == 7
 
 
@@ -85,11 +84,8 @@ topic = "state"
 delay = "trace wifi"
 [[faults.rule]]
 robot = 2
-position_noise_m = "1cm"
 position_bias_m = [0.1, -0.2]
 jump_m = 0.5
-jump_probability = "2%"
-dropout = "10%"
 [[faults.rule]]
 robot = 3
 clock_skew = "100ms"
@@ -195,10 +191,7 @@ def test_majorities_each_hear_a_different_one(count: int) -> None:
         ('delay = "-5ms"', "faults.delay: must not be negative"),
         ('loss = "30"', 'a percentage is written "30%"'),
         ('delay = "fast"', "faults.delay: must be"),
-        ('jitter = "5ms"', "faults.jitter: needs a delay beside it"),
-        ('delay = "80ms 20ms"\njitter = "5ms"', "faults.delay: "),
         ('delay = "trace wifi"', 'there is no [[faults.trace]] of the name "wifi"; names are: none'),
-        ('delay = "80ms"\ndistribution = "normal"', "faults.distribution: needs a jitter beside it"),
         ("los = 3", "faults.los: unknown field; did you mean loss?"),
         ("clock_skew = 3", "faults.clock_skew: unknown field"),
     ],
@@ -239,9 +232,8 @@ def test_defaults_that_are_wrong(faults: str, said: str) -> None:
         ('robot = 3\npause = "agent"\nat = 5\nfor = 1\nwipe = true', "wipe: belongs to kill or restart"),
         ("wipe = true", "wipe: belongs to kill or restart"),
         ('robot = 3\nkill = "both agents"\nat = "5s"', "faults.rule[1].kill: must be one of"),
-        ('link = "1->2"\ndropout = "5%"', "dropout is of robots: write robot"),
+        ('link = "1->2"\njump_m = 0.5', "jump_m is of robots: write robot"),
         ('robot = 3\ntopic = "state"\nrange = "disc 5m"', "a robot has no distance from its own plant"),
-        ('robot = 3\njump_probability = "5%"', "needs a jump_m"),
         ('partition = "1 | 2"\ntopic = "state"', "a partition is between agents"),
     ],
 )

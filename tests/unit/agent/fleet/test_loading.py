@@ -226,9 +226,7 @@ def test_laws(name: str) -> None:
 def test_overrides_win_over_the_law_and_the_law_over_the_file() -> None:
     text = SMALL + '[control]\ncoupling = "penalty"\nkp = 7\n'
     assert law_name(small(text=text).control) == "custom"
-    assert small("control.kp=3", law="paper", text=text).control == ControlSection(
-        coupling="edge", kp=3.0, relaxation=0.001
-    )
+    assert small("control.kp=3", law="paper", text=text).control == ControlSection(coupling="edge", kp=3.0)
 
 
 def test_robot_defaults_do_not_win_over_a_robot() -> None:
@@ -399,7 +397,7 @@ def test_the_reference_page_is_up_to_date(capsys: pytest.CaptureFixture[str]) ->
 def test_the_reference_page_says_everything() -> None:
     page = fleet_reference.render()
     named = set(re.findall(r"^- `(\w+)", page, re.MULTILINE))
-    vehicle = ("signing_key=~/key", "system=1", "own_system=1")
+    vehicle = ("signing_key=~/key", "system=1")
     overrides = (
         "robot.3.max_force_n=1",
         "robot.3.max_torque_nm=1",
@@ -459,12 +457,16 @@ def test_control_characters_are_refused_wherever_a_text_is_free(control: str) ->
 @pytest.mark.parametrize("name", REPLACED)
 def test_removed_field_says_what_replaced_it(name: str) -> None:
     table, _, field = name.rpartition(".")
+    header = f"[[{table}]]" if table == "faults.rule" else f"[{table.replace('robot', 'robot_defaults')}]"
+    text = SMALL.replace("[robot_defaults]\n", "")
+    text = f"{text.replace('mass_kg = 8', '')}\n{header}\n{field} = 1\n"
     why = f"is no field any more: {REPLACED[name]}"
+    with pytest.raises(FleetError) as caught:
+        parse_fleet(text, source="small")
+    assert why in [problem.message for problem in caught.value.problems]
+    assert parse_fleet(text, source="small", recorded=True).ids == (3, 7, 5)
+    if table == "faults.rule":
+        return
     with pytest.raises(FleetError) as caught:
         small(f"{name}=1".replace("robot.", "robot.3.", 1))
     assert [problem.message for problem in caught.value.problems] == [why]
-    if table == "robot" or table.startswith("faults"):
-        return
-    with pytest.raises(FleetError) as caught:
-        parse_fleet(SMALL + f"\n[{table}]\n{field} = 1\n", source="small")
-    assert why in [problem.message for problem in caught.value.problems]

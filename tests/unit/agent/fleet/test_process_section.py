@@ -7,7 +7,7 @@ import tomli_w
 
 from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
 from handfast.agent.fleet.model import Fleet, FleetError
-from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.fleet.process_section import LINKS_PRIORITY, PRIORITIES
 from tests.unit.agent.fleet.test_hosts import FLEET
 
 
@@ -20,13 +20,8 @@ def test_nobody_asks_for_real_time_who_does_not_say_so() -> None:
     assert not fleet("[process]\ncpus = [1]").process.realtime
 
 
-def test_a_plant_is_above_its_agent_and_both_above_their_links() -> None:
-    section = fleet("[process]\nrealtime = true\npriority = 60").process
-    assert section.priority < section.priority_of("agent") < section.priority_of("plant")
-    assert section.priority_of("plant") == section.priority_max
-    assert ProcessSection(priority=97).priority_max == 99
-    with pytest.raises(FleetError, match=r"process.priority: must be between 1 and 97, got 98"):
-        fleet("[process]\npriority = 98")
+def test_a_plant_is_above_its_agent_and_both_are_above_their_links() -> None:
+    assert LINKS_PRIORITY < PRIORITIES["agent"] < PRIORITIES["plant"] < 50
 
 
 def test_cores_are_numbers_and_bad_ones_are_named() -> None:

@@ -135,26 +135,6 @@ def test_any_simple_polygon_is_taken() -> None:
             "above formation.safe_distance_m = 0.2, that they must not come below",
         ),
         (
-            SMALL + "[avoidance]\ndistance_m = 0.6\nsensing_m = 0.6\n",
-            "avoidance.sensing_m: 0.6 is too small: a robot must be listened to before it comes as near as "
-            "avoidance.distance_m = 0.6",
-        ),
-        (
-            SMALL + "[avoidance]\nsensing_m = 0.1\n",
-            "avoidance.sensing_m: 0.1 is too small: a robot must be listened to before it comes as near as "
-            "formation.safe_distance_m = 0.2",
-        ),
-        (
-            SMALL + "[supervision]\nslow_after_s = 2.0\n",
-            "supervision.slow_after_s: 2.0 is too long: a robot slows down before it gives a neighbour up, "
-            "which it does after control.prediction_horizon_s = 2.0; leave it out for three quarters of that",
-        ),
-        (
-            SMALL + "[supervision]\nslow_after_s = 0.01\n",
-            "supervision.slow_after_s: must be at least two periods, 0.04 s at fleet.rate_hz = 50.0, "
-            "got 0.01",
-        ),
-        (
             SMALL + "[supervision]\ndeadman_s = 0.1\n",
             "supervision.deadman_s: must be between 0.2 and 600 s, got 0.1",
         ),
@@ -169,10 +149,3 @@ def test_a_value_with_a_problem_of_its_own_is_not_blamed_twice() -> None:
     assert problems(text=text) == ["obstacle[1].radius_m: must be more than 0 and at most 1000000 m, got -1"]
     assert len(problems(text=polygon('[[0, 0], [1, "a"], [1, 1]]'))) == 1
     assert len(problems(text=SMALL + "[geofence]\nwarn_m = 1\n")) == 1
-
-
-def test_a_horizon_alone_moves_the_slowing_down_along() -> None:
-    fleet = small("control.prediction_horizon_s=0.8")
-    assert fleet.supervision.slow_from_s(fleet.control.prediction_horizon_s) == pytest.approx(0.6)
-    given = small("supervision.slow_after_s=0.5")
-    assert given.supervision.slow_from_s(given.control.prediction_horizon_s) == 0.5

@@ -146,16 +146,16 @@ def test_file_times_count_from_the_epoch_and_live_times_from_their_origin() -> N
 def test_sensors_clocks_and_ticks() -> None:
     plan = FaultPlan(
         fleet(
-            "[[faults.rule]]\nrobot = 1\nposition_noise_m = 0.1\n"
-            "[[faults.rule]]\nposition_noise_m = 0.2\nheading_bias_rad = 0.3\ntick_jitter = 0.005\n"
+            "[[faults.rule]]\nrobot = 1\njump_m = 0.1\n"
+            "[[faults.rule]]\njump_m = 0.2\nheading_bias_rad = 0.3\ntick_jitter = 0.005\n"
             '[[faults.rule]]\nrobot = 2\nclock_skew = "-100ms"\nclock_drift = "20ppm"\n'
         )
     )
     one, two = plan.sensor(1, NOW), plan.sensor(2, NOW)
     assert one is not None
-    assert (one.position_noise_m, one.heading_bias_rad) == (0.1, 0.3)
+    assert (one.jump_m, one.heading_bias_rad) == (0.1, 0.3)
     assert two is not None
-    assert (two.position_noise_m, two.dropout) == (0.2, 0.0)
+    assert (two.jump_m, two.position_bias_m) == (0.2, (0.0, 0.0))
     assert plan.tick_jitter(1, NOW) == (5_000_000, 1.0)  # all of them
     assert plan.clock(1) == (0, 0.0)
     assert plan.clock(2) == (-100_000_000, 20e-6)

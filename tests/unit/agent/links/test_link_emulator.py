@@ -110,7 +110,7 @@ def test_only_the_link_of_a_rule_is_touched() -> None:
         '[[faults.rule]]\nlink = "1->2"\nloss = "10%"',
         '[[faults.rule]]\nlink = "1->2"\ntopic = "all"\ndelay = "20ms"',
         '[[faults.rule]]\nrobot = 2\ntopic = "all"\nloss = "10%"',
-        "[[faults.rule]]\nrobot = 1\nposition_noise_m = 0.1",
+        "[[faults.rule]]\nrobot = 1\njump_m = 0.1",
     ],
 )
 def test_only_links_with_rules_are_made(faults: str) -> None:

@@ -40,7 +40,7 @@ def run(text: str, *before: str) -> str:
 
 def asked(*arguments: str, before: tuple[str, ...] = ()) -> Granted:
     done = subprocess.run(
-        [*before, *ASKS, "--priority", "40", *arguments],
+        [*before, *ASKS, *arguments],
         capture_output=True, text=True, timeout=60, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     found = from_json(json.loads(done.stdout))

@@ -23,7 +23,7 @@ from handfast.agent.runtime.realtime_granted import (
     to_json,
 )
 
-ASKED = ProcessSection(realtime=True, priority=40)
+ASKED = ProcessSection(realtime=True)
 ALL = Granted(41, (0, 1), (0, 1), locked=True, rtprio=42, memlock=-1, privileged=False)
 NOTHING = Granted(0, (0, 1), (0, 1), locked=False, rtprio=0, memlock=8 << 20, privileged=False)
 

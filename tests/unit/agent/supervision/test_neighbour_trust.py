@@ -241,14 +241,6 @@ def test_where_silence_holds_one_silent_neighbour_is_enough():
     assert watch(bench, 0.1)[-1].state is State.RUNNING
 
 
-def test_slowing_down_begins_when_the_fleet_file_says():
-    bench = FleetBench(three("supervision.slow_after_s=0.4"))
-    bench.drive()
-    silence(bench, 3)
-    slow = [row.seconds for row in watch(bench, 1.0) if row.slower < 1.0]
-    assert slow[0] == pytest.approx(0.4, abs=3 * PERIOD_S)
-
-
 def test_silence_does_not_start_a_drive():
     """All neighbours are needed to begin; one that is there carries a robot that comes back into a drive."""
     bench = FleetBench(three())
@@ -371,7 +363,7 @@ def test_ages_of_all_neighbours_are_told(bench: FleetBench):
 
 # ---------------------------------------------------------------------- event-sent hand states
 
-EVENT = ('control.send="event"', "control.send_every_s=0.6")
+EVENT = ('control.send="event"',)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.control.peers.beliefs import STANDS_S, stands_after
+from handfast.agent.control.peers.beliefs import stands_after
 from handfast.agent.control.peers.lateness import LATE_MAX_NS
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
@@ -61,7 +61,6 @@ def test_late_links_give_up_later_and_doubt_more():
         ([], Links(delay_s=3.0), "robots relay of a silent one"),
         ([], Links(deceleration=0.2), "s to brake"),
         ([], Links(deceleration=0.0), "s to brake"),
-        (["avoidance.beacon_hz=0.5"], Links(), f"does not stand {STANDS_S:g} s"),
     ],
 )
 def test_where_a_proof_lacks_a_condition_it_is_named(overrides: list[str], links: Links, said: str):

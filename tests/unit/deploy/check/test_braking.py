@@ -19,15 +19,15 @@ from tests.unit.agent.fleet.fleet_texts import small
 SLOW = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
 
 
-def found(fleet: Fleet, distance: float | None = 0.6) -> dict[str, Finding]:
-    findings = list(check_braking(fleet, distance))
+def found(fleet: Fleet) -> dict[str, Finding]:
+    findings = list(check_braking(fleet))
     assert len({finding.place for finding in findings}) == len(findings)
     assert all(finding.level == "warning" for finding in findings)
     return {finding.place: finding for finding in findings}
 
 
 def test_what_follows_from_the_rest_is_sound() -> None:
-    assert found(small()) == found(small(*SLOW)) == found(small(*SLOW), None) == {}
+    assert found(small()) == found(small(*SLOW)) == {}
 
 
 @pytest.mark.parametrize("name", ["delta", "lattice45", "line10", "pair", "reserve", "rovers"])
@@ -55,7 +55,7 @@ def test_a_body_that_goes_on_for_long_without_its_agent() -> None:
 def test_a_rate_that_the_loop_cannot_carry() -> None:
     def at(rate: float) -> Finding | None:
         fleet = small("control.max_acceleration=50", "fleet.rate_hz=10", f"avoidance.barrier_rate={rate}")
-        return next(iter(check_braking(fleet, 0.6)), None)
+        return next(iter(check_braking(fleet)), None)
 
     assert at(2.5) is None
     much, too_much = at(4.0), at(5.0)
@@ -100,16 +100,6 @@ def test_vehicles_by_what_their_bridges_ask_of_them() -> None:
     assert text.startswith("robot 4 cannot brake")
     assert "mavlink.max_acceleration of robot 4 allows 0.5; set it to 0.555 1/s or less" in text
     assert found(load_fleet(rovers, (weak, "robot.4.plant=unicycle"))) == {}
-
-
-def test_a_sensing_distance_that_is_too_short_to_part_or_to_brake_in() -> None:
-    part = found(small("avoidance.sensing_m=0.5"))["avoidance.sensing_m"].message
-    assert "0.5 m is not above the distance at which robots begin to part, 0.6 m here" in part
-    assert "take 1.5 m" in part
-    brake = found(small("avoidance.sensing_m=1.2"))["avoidance.sensing_m"].message
-    assert "1.2 m is not the 1.25 m in which two robots at control.max_speed_mps = 1.5 can brake" in brake
-    assert found(small("avoidance.sensing_m=1.25")) == {}
-    assert "take 1.25 m" in found(small("avoidance.sensing_m=1.2"), None)["avoidance.sensing_m"].message
 
 
 DRIVING = ("trajectory.kind=line", "trajectory.velocity_mps=[0, 0.3]")

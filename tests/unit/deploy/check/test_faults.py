@@ -182,7 +182,6 @@ def test_many_contradictions_are_summed_up() -> None:
         (rule('partition = "alone 1"'), "faults.rule[1].partition", "robot 2 never hears robot 1"),
         (rule("robot = 4", 'topic = "state"', 'loss = "every 1"'), "faults.rule[1].loss", "4's agent never"),
         (rule("robot = 4", 'topic = "wrench"', 'loss = "100%"'), "faults.rule[1].loss", "it will not move"),
-        (rule("robot = 4", 'dropout = "100%"'), "faults.rule[1].dropout", "no measurement of robot 4"),
         (rule("robot = 4", 'clock_skew = "300ms"'), "faults.rule[1].clock_skew", "4's clock is 0.3 s"),
         (rule("robot = 4", 'clock_skew = "-0.3s"'), "faults.rule[1].clock_skew", "its neighbour 4"),
     ],

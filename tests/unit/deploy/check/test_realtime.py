@@ -19,22 +19,14 @@ DELTA = load_fleet(FLEETS / "delta.toml")
     [
         (ProcessSection(), []),
         (ProcessSection(realtime=True, cpus=(1,)), []),
-        (ProcessSection(realtime=True, priority=47), []),
-        (ProcessSection(realtime=True, priority=48), [("warning", "process.priority")]),
-        (ProcessSection(priority=41, cpus=(1,)), [("info", "process.priority"), ("info", "process.cpus")]),
+        (ProcessSection(cpus=(1,)), [("info", "process.cpus")]),
     ],
 )
-def test_what_has_no_effect_and_what_goes_before_interrupts(
+def test_cores_without_realtime_have_no_effect(
     process: ProcessSection, places: list[tuple[str, str]]
 ) -> None:
     found = list(check_realtime(replace(DELTA, process=process)))
     assert [(each.level, each.place) for each in found] == places
-
-
-def test_what_would_be_right_is_said() -> None:
-    (found,) = check_realtime(replace(DELTA, process=ProcessSection(realtime=True, priority=60)))
-    assert found.message.endswith("give at most 47")
-    assert "plants get 62" in found.message
 
 
 def test_cores_that_a_machine_has_not_are_named_with_those_that_it_has() -> None:

@@ -176,12 +176,6 @@ def test_a_distance_of_avoidance_above_what_the_formation_has() -> None:
     assert found("[avoidance]\ndistance_m = 2.1\nenabled = false\n") == []
 
 
-def test_a_sensing_distance_below_that_of_avoidance() -> None:
-    (only,) = found("[avoidance]\nsensing_m = 0.5\n")
-    assert (only.level, only.place) == ("warning", "avoidance.sensing_m")
-    assert "0.6 m here" in only.message
-
-
 def test_the_distance_of_avoidance_of_a_formation() -> None:
     one = fleet()
     assert parting(one, resolve(one)) == (pytest.approx(0.6), pytest.approx(2.0))

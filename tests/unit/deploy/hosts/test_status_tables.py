@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.agent.messages.types import Status
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.identity import of_robot, of_router
@@ -29,7 +30,7 @@ from tests.trusted import NOW_S, authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, ROUTERS, fleet
 
 FLEET = fleet()
-SKEW_S = FLEET.control.clock_skew_max_s
+SKEW_S = CLOCK_SKEW_MAX_S
 UNIT = {
     "ActiveState": "active", "Result": "success", "NRestarts": "2", "cpu_s": 3.0, "age_s": 60.0,
     "memory_bytes": 80e6, "version": "1-aa-77", "StatusText": "running",

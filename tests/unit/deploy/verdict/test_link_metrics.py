@@ -209,7 +209,7 @@ def test_a_clock_that_is_off_is_named_once() -> None:
     (warning,) = clock_warnings(recording, clock_offsets(recording))
     assert warning == (
         "Robot 3's clock is 0.119 s ahead of those of robots 1 and 2, within 0.010 s, as their messages "
-        "tell; 0.05 s is allowed (control.clock_skew_max_s)."
+        "tell; 0.05 s is allowed."
     )
     found = RunResult(recording).metrics
     assert warning in found["verdict"]["warnings"]

@@ -605,7 +605,7 @@ def test_limits_of_commands() -> None:
     assert found("limits", PAIR, change=asks) == []
 
 
-FAULT = Rule(robot=1, speed_noise_mps=0.1, at=2.0, duration=1.0)
+FAULT = Rule(robot=1, jump_m=0.1, at=2.0, duration=1.0)
 FAULTY = replace(LONG, faults=FaultsSection(rules=(FAULT,)))
 
 
@@ -643,7 +643,7 @@ def test_recovery_counts_from_the_last_change_and_leave_to_resume() -> None:
 
 
 def test_recovery_beside_what_fails_all_the_time() -> None:
-    always = replace(LONG, faults=FaultsSection(rules=(FAULT, Rule(robot=2, speed_noise_mps=0.01))))
+    always = replace(LONG, faults=FaultsSection(rules=(FAULT, Rule(robot=2, jump_m=0.01))))
     assert found("recovery", always, standing(0, 0), _displaced(2.0, 25.05))
 
 
@@ -780,5 +780,5 @@ def test_errors_where_only_links_fail() -> None:
     assert (
         found("errors", lossy, standing(0, 0), standing(4.5, 0)) is None
     )  # what has not settled says so itself
-    noisy = replace(lossy, faults=replace(lossy.faults, rules=(Rule(robot=1, speed_noise_mps=0.1),)))
+    noisy = replace(lossy, faults=replace(lossy.faults, rules=(Rule(robot=1, jump_m=0.1),)))
     assert found("errors", noisy, standing(0, 0), off) is None

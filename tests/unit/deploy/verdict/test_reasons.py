@@ -79,7 +79,7 @@ def test_every_unsafe_pair_is_counted() -> None:
 def test_what_oracles_say_of_the_end_is_said_once() -> None:
     """Robot 2 is off its distance from the fault on: not recovered, and not settled at the end."""
     base = make_fleet([(0, 0), (1, 0)], [(1, 2)], duration_s=30.0, rate_hz=10.0)
-    rule = Rule(robot=1, speed_noise_mps=0.1, at=2.0, duration=1.0)
+    rule = Rule(robot=1, jump_m=0.1, at=2.0, duration=1.0)
     fleet = replace(base, faults=FaultsSection(rules=(rule,)))
     found = driven(fleet, standing(0, 0), lambda t: (1.2 if t > 2 else 1.0, 0.0, 0.0))
     assert found["oracles"]["recovery"]["violations"] == 1

@@ -176,7 +176,7 @@ def test_who_has_fallen_back_and_comes_nearer_by_chance_fails() -> None:
 
 
 def noisy(at_s: float, for_s: float) -> Rule:
-    return Rule(robot=1, speed_noise_mps=0.1, at=at_s, duration=for_s)
+    return Rule(robot=1, jump_m=0.1, at=at_s, duration=for_s)
 
 
 @pytest.mark.parametrize(

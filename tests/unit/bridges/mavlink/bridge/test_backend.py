@@ -198,17 +198,14 @@ def test_the_session_is_that_of_the_fleet_file() -> None:
     link = session(
         rovers(
             "robot.1.mavlink.system=7",
-            "robot.1.mavlink.own_system=9",
-            "robot.1.mavlink.own_component=192",
-            "robot.1.mavlink.set_origin=false",
         ),
         1,
         None,
         5,
     )
-    assert link.own == (9, 192)
+    assert link.own == (7, 191)
     settings = link.settings
-    assert (settings.system, settings.set_origin, settings.token) == (7, False, 5)
+    assert (settings.system, settings.token) == (7, 5)
     assert settings.datum == datum_of(rovers())
 
 

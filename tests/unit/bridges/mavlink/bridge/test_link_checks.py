@@ -6,7 +6,6 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.common.time import NS_PER_S
@@ -56,28 +55,6 @@ def test_what_is_wrong_with_a_port_and_what_to_do_stand_apart() -> None:
     assert console.level == "blocking"
     assert console.found.endswith(f"on {port}; a Linux console is on it")
     assert console.advice == "raspi-config"
-
-
-@pytest.mark.parametrize("new_names", [False, True])
-def test_a_vehicle_that_drops_what_a_foreign_system_says_is_not_taken_for_well(new_names: bool) -> None:
-    scene = Scene(
-        "robot_defaults.mavlink.own_system=7", parameters={"SYSID_ENFORCE": 1.0}, new_names=new_names
-    )
-    scene.bridge.clear_to_drive()
-    scene.run(4.0)
-    assert scene.bridge.check("link").level == "ok"
-    assert "parameters" in scene.bridge.blocking, "not for the first seconds: it may still answer"
-    scene.run(4.0)
-    (line,) = scene.bridge.plant.checks(scene.now_ns)
-    assert line.level == "blocking"
-    assert line.found == "system 1 is heard on simulator, but answers nothing"
-    assert line.advice.startswith("it may have SYSID_ENFORCE = 1 (newer firmware: MAV_OPTIONS bit 0), which")
-    assert "leave own_system out" in line.advice
-    assert "TX" in line.advice
-    note = scene.bridge.reading.note
-    assert note.startswith("system 1 is heard, but answers nothing: it may have SYSID_ENFORCE = 1")
-    assert scene.bridge.link.parameters == {}
-    assert scene.bridge.setpoints() == []
 
 
 def cut(scene: Scene) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from tests.rover_scene import Scene, heartbeat
@@ -48,21 +46,10 @@ def test_a_failsafe_that_is_off_or_risky_and_a_limit_that_is_low_are_warned_of(
     assert "failsafes on" not in looked.line("parameters").found
 
 
-@pytest.mark.parametrize(("new_names", "name"), [(False, "SYSID_ENFORCE"), (True, "MAV_OPTIONS")])
-def test_a_vehicle_that_obeys_its_own_system_and_its_station_only(new_names: bool, name: str) -> None:
-    looked = Looked(parameters={"SYSID_ENFORCE": 1.0}, new_names=new_names)
-    assert name not in looked.names(), "the bridge is of the vehicle's own system"
-    looked.section = replace(looked.section, own_system=7)  # as where a ground station's reading was heard
-    line = looked.line(name)
-    assert (line.level, line.advice) == ("blocking", "leave own_system out")
-    assert "its own system 1 and its ground station 255 only, and the bridge is system 7" in line.found
-
-
 @pytest.mark.parametrize(("new_names", "name"), [(False, "SYSID_MYGCS"), (True, "MAV_GCS_SYSID")])
 def test_the_bridge_must_not_be_the_ground_station_that_its_failsafe_counts(
     new_names: bool, name: str
 ) -> None:
-    """It speaks as the vehicle's own system: to leave own_system out would change nothing."""
     looked = Looked(parameters={"SYSID_MYGCS": 1.0}, new_names=new_names)
     line = looked.line(name)
     assert line.level == "warning"
@@ -72,8 +59,6 @@ def test_the_bridge_must_not_be_the_ground_station_that_its_failsafe_counts(
     assert line.advice == f"set {name} to the system id of its ground station, 255 as a rule"
     looked = Looked(parameters={"SYSID_MYGCS": 7.0}, new_names=new_names)
     assert name not in looked.names()
-    looked.section = replace(looked.section, own_system=7)
-    assert looked.line(name).advice.endswith(", 255 as a rule, or leave own_system out")
 
 
 @pytest.mark.parametrize(("watched", "told"), [(255.0, False), (250.0, True)])

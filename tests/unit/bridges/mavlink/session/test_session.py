@@ -165,9 +165,8 @@ def test_what_others_say_changes_nothing(sender: tuple[int, int]) -> None:
     [
         {"system": 255},
         {"system": 0},
-        {"own_system": 255},
-        {"own_component": 1},
-        {"own_component": 0},
+        {"component": 1},
+        {"component": 0},
         {"state_rate_hz": 0.0},
         {"state_rate_hz": nan},
         {"token": -1},
@@ -196,12 +195,6 @@ def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_tick() -> None:
     assert [time for time, _ in sent] == pytest.approx([0, 1, 2, 3, 4], abs=0.05)
     assert {(m.get_srcSystem(), m.get_srcComponent()) for _, m in sent} == {(3, 191)}
     assert not named(Session(SessionSettings()).tick(T0), "COMMAND_LONG")
-
-
-def test_an_own_system_id_is_kept() -> None:
-    link, _ = joined(SessionSettings(own_system=200, own_component=195))
-    (message,) = named(link.tick(T0), "HEARTBEAT")
-    assert (message.get_srcSystem(), message.get_srcComponent()) == link.own == (200, 195)
 
 
 def test_messages_are_numbered() -> None:
@@ -492,9 +485,8 @@ def test_the_datum_is_offered_once_a_second_until_an_origin_is_told() -> None:
     assert not link.origin_ours
 
 
-@pytest.mark.parametrize("settings", [{"set_origin": False, "datum": HOME}, {"datum": None}])
-def test_no_origin_is_offered_unless_wished(settings: dict[str, Any]) -> None:
-    link, rover = joined(SessionSettings(parameters=(), **settings))
+def test_no_origin_is_offered_without_a_datum() -> None:
+    link, rover = joined(SessionSettings(parameters=()))
     assert run(link, rover, T0, 3.0, "SET_GPS_GLOBAL_ORIGIN") == []
 
 

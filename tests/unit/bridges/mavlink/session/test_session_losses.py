@@ -298,7 +298,7 @@ def test_two_bridges_on_two_ports_of_one_vehicle_find_each_other() -> None:
 
 def test_a_bridge_with_another_component_is_found_too() -> None:
     rover = warm(ports=2)
-    wire, other = Wire(link(token=77), rover), Wire(link(own_component=192), rover, 1)
+    wire, other = Wire(link(token=77), rover), Wire(link(component=192), rover, 1)
     wire.others = [other]
     wire.run(4.0)
     assert "component 192" in wire.link.another_bridge(wire.now_ns)

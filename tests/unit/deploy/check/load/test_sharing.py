@@ -34,7 +34,7 @@ RULE = "faults.rule=[{%s}]"
         (lattice(30, 10.0, RULE % "name='a',robot=7,kill='agent',at=1"), [range(1, 31)]),
         (lattice(30, 10.0, RULE % "name='a',robot=7,clock_skew=0.1"), [[*range(1, 7), *range(8, 31)]]),
         (lattice(30, 10.0, RULE % "name='a',clock_drift=0.001"), []),
-        (lattice(30, 10.0, "robot.3.plant=plant.backend:Plant"), [[1, 2, *range(4, 31)]]),
+        (lattice(30, 10.0, "robot.3.plant=handfast.plant.backend:Plant"), [[1, 2, *range(4, 31)]]),
     ],
 )
 def test_bodies_share_a_process_in_a_large_fleet_where_nothing_is_done_to_it(
