@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from errno import EIO, ENOSPC
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -20,11 +19,10 @@ from handfast.deploy.console.data_files import bundled
 from handfast.deploy.console.interrupt import remembered
 
 if TYPE_CHECKING:
-    from handfast.deploy.processes.forking import ForkServer
+    pass
 
 ROVER_SIMULATOR: Final = "rover-simulator"
 COMPLETION: Final = "completion"
-FORKS: Final = "run"
 ELSEWHERE: Final = {"list": "status", "film": "export --format gif"}
 """Words that people look for among the commands, and the command that does what they say."""
 MEANT_MAX: Final = 3
@@ -145,11 +143,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return PASSED
             asked = _asked(arguments)
             try:
-                with _fork_server(asked, arguments) as server:
-                    parser = _parser(None if asked == COMPLETION else [asked])
-                    options = parser.parse_args(arguments)
-                    options.server, options.parser = server, parser
-                    result: int = options.command(options)
+                parser = _parser(None if asked == COMPLETION else [asked])
+                options = parser.parse_args(arguments)
+                options.parser = parser
+                result: int = options.command(options)
             except SystemExit:
                 print(end="", flush=True)
                 raise
@@ -195,17 +192,6 @@ def _asked(arguments: Sequence[str]) -> str:
     question = did_you_mean(asked, known, written.__getitem__, most=MEANT_MAX)
     hint = f"{question} " if question else ""
     raise Error(f"there is no command {show(asked)}: {hint}`handfast --help` lists all")
-
-
-def _fork_server(asked: str, arguments: Collection[str]) -> AbstractContextManager[ForkServer | None]:
-    """What forks robots' processes, for the command that needs it: it loads what they need while the command
-    loads what that needs."""
-    if asked != FORKS or not {"-h", "--help"}.isdisjoint(arguments):
-        return nullcontext()
-    from handfast.deploy.processes.child import environment
-    from handfast.deploy.processes.forking import ForkServer
-
-    return ForkServer(environment())
 
 
 def process() -> int:

@@ -1,4 +1,4 @@
-"""What one process reads for all that are forked from it (`deploy.processes.fork_server`)."""
+"""What one process reads for all that are forked from it (`deploy.processes.forking`)."""
 
 from __future__ import annotations
 

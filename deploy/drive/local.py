@@ -34,8 +34,7 @@ other. They take a few tenths of a second where it has time for them."""
 
 class LocalRun:
     """One run: starts the processes of `fleet` (resolved and placed, with these simulated rovers), drives it
-    and ends it. `source`: the fleet file that it is started from, for whoever looks for it by that. `server`:
-    what its processes are forked by, closed at the end.
+    and ends it. `source`: the fleet file that it is started from, for whoever looks for it by that.
 
     After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict.
     """
@@ -48,9 +47,8 @@ class LocalRun:
         interrupt: Interrupt,
         vehicles: Sequence[Vehicle] = (),
         source: Path | None = None,
-        server: ForkServer | None = None,
     ) -> None:
-        self._source, self._server = source, server or ForkServer(environment())
+        self._source, self._server = source, ForkServer(environment())
         self._fleet, self._folder, self._view, self._vehicles = fleet, folder, view, vehicles
         self._interrupt = interrupt
         self._orders = orders_folder(fleet)

@@ -1,68 +1,156 @@
-"""Starts processes by having them forked from one that has loaded what they need
-(`deploy.processes.fork_server`)."""
+"""Starts processes by forking them from one that has loaded what they need.
+
+An interpreter that starts and imports everything takes half a second of processor time for each process, and
+memory of its own. Processes here are forked by the standard library's fork server
+(`multiprocessing.forkserver`), which has imported `deploy.processes.preloading`. It imports nothing of the
+program that starts them.
+"""
 
 from __future__ import annotations
 
-import json
+import atexit
+import ctypes
+import gc
+import io
 import os
 import select
 import signal
-import socket
 import subprocess
+import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from errno import ETIMEDOUT
+from functools import partial
+from importlib import import_module, invalidate_caches
+from multiprocessing import forkserver, process, reduction, resource_tracker
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from handfast.deploy.processes import command_line
+from handfast.agent.fleet.plants import KINDS
+from handfast.agent.runtime import preloaded
+from handfast.deploy.processes import command_line, scheduling
 from handfast.deploy.processes.command_line import ROOM, words_of
 
-MESSAGE_MAX: Final = 1 << 17
-SERVER: Final = "handfast.deploy.processes.fork_server"
+MODULES: Final = {"handfast.agent"} | {
+    module for kind in KINDS.values() for module in (kind.program, kind.simulator) if module
+}
+"""Programs that can be forked: each has a `main(argv)` in its `__main__`."""
+PRELOADING: Final = "handfast.deploy.processes.preloading"
+PRELOAD: Final = "HANDFAST_PRELOAD"
+"""Environment variable of the server: the process with which it ends, a space, the fleet file to read."""
 UNSEEN: Final = 1 << 16
-"""Exit status of a process that has ended after the server, so that nobody saw how."""
-END_TIMEOUT_S: Final = 5.0
-UNTOLD_S: Final = 1.5
-"""A process that has ended and of which the server has not said how for so long ended unseen: it stands."""
+"""Exit status of a process whose end nobody saw, as the server ended before it or is stuck."""
+STARTING_MAX: Final = 2 + (os.cpu_count() or 1)
+"""Maximum number of processes that are starting: more would slow each other down, and robots connect to those
+before them in the file, which should be there by then."""
+START_S: Final = 0.3
+"""Time after which a process that is starting is no longer waited for, s."""
 ANSWER_S: Final = 20.0
-"""A server that has answered nothing for so long stands: forking takes it some ms, loading some tenths of a
-second, and tenfold where hundreds of processes start."""
+"""Time after which a server that has not answered is stuck, s: forking takes milliseconds, loading tenths of
+a second, and tenfold where hundreds of processes start."""
+UNTOLD_S: Final = 1.5
+"""Time after which the status of a process that has ended is not waited for, s."""
+_PR_SET_PDEATHSIG: Final = 1
+
+
+class _Program(process.BaseProcess):
+    """A program as it goes to the fork server, by pickle; `_bootstrap` runs in the forked process."""
+
+    def __init__(
+        self, server: int | None, module: str, arguments: Sequence[str], yields: int, for_many: bool
+    ) -> None:
+        self.server, self.module, self.arguments = server, module, list(arguments)
+        self.yields, self.for_many = yields, for_many
+
+    def _bootstrap(self, parent_sentinel: int | None = None) -> int:
+        """Run the program; return its exit status."""
+        status = 1
+        try:
+            started = self._become()
+            os.write(started, b".")
+            program: Any = import_module(f"{self.module}.__main__")
+            sys.argv = [str(program.__file__), *self.arguments]
+            status = program.main(self.arguments)
+        except SystemExit as ended:
+            status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+            if isinstance(ended.code, str):
+                print(ended.code, file=sys.stderr)
+        except BaseException:
+            sys.excepthook(*sys.exc_info())
+        # The end of an interpreter, but for taking everything apart, which would copy all shared pages.
+        for thread in threading.enumerate():
+            if thread is not threading.main_thread() and not thread.daemon:
+                thread.join()
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        return status
+
+    def _become(self) -> int:
+        """Leave nothing of the server's, and end with it. Return the pipe that tells that it has started."""
+        log, started = forkserver.get_inherited_fds() or (2, 2)
+        os.setpgid(0, 0)
+        end_with(self.server)
+        # Only its starter keeps the server alive.
+        os.close(forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
+        os.close(resource_tracker._resource_tracker._fd)  # type: ignore[attr-defined]
+        with open(os.devnull, "rb") as null:
+            for handle, standard in ((null.fileno(), 0), (log, 1), (log, 2)):
+                os.dup2(handle, standard)
+        os.close(log)
+        command_line.show(words_of(self.module, self.arguments))
+        if self.yields:
+            scheduling.yield_at_start()
+            if self.for_many:
+                scheduling.interrupt()
+            else:
+                preloaded.on_start(partial(scheduling.yield_once_started, self.yields))
+        preloaded.on_start(partial(os.close, started))
+        invalidate_caches()  # of folders as they were
+        if random := sys.modules.get("numpy.random"):  # Python's own seeds itself
+            random.seed()
+        gc.enable()
+        return started
+
+
+def end_with(parent: int | None) -> None:
+    """Have the kernel send SIGTERM when the parent ends; end here if it is gone already."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(0)
+
+
+class _Server(forkserver.ForkServer):
+    """The standard library's fork server, which is not started again when it is gone."""
+
+    _forkserver_pid: int | None
+
+    def ensure_running(self) -> None:
+        if self._forkserver_pid is None:
+            super().ensure_running()
 
 
 class ForkServer:
-    """A fork server of this process's own. A context manager: at its end the server ends, and with it what
-    it has forked.
-
-    It is started as any other program is, so it does not matter which threads this process has.
+    """A fork server of this process's own. A context manager: at its end the server ends, and with it all
+    that it has forked.
 
     Args:
-        environment: its own, and so that of all that it forks.
+        environment: of all that it forks.
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._socket: socket.socket | None = None
+        self._environment = dict(environment) | {"PYTHONSAFEPATH": "1"}
+        self._server: Any = _Server()
+        # The second one is no module: it makes the command line long enough for those of programs.
+        self._server.set_forkserver_preload([PRELOADING, "x" * ROOM])
+        self._yields = 0
+        self._starting: dict[int, float] = {}
+        """Pipes that processes close when they have started, and the time until which that is waited for."""
         self._is_ready = False
-        self._count = 0
-        self._ended: dict[int, int] = {}
-        self._owes_since: float | None = None
-        """Since when it has told nothing, though something has ended."""
-        if not hasattr(os, "pidfd_open"):
-            return  # a system where nothing is forked
-        self._socket, asked = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with asked:
-            self._process = subprocess.Popen(
-                words_of(SERVER, [str(os.getpid()), "." * ROOM]),
-                stdin=asked.fileno(),
-                # What keeps it from loading them keeps processes from it too: they say it in their logs.
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=dict(environment),
-                process_group=0,
-            )
+        self._is_closed = not hasattr(os, "pidfd_open")
 
     def __enter__(self) -> ForkServer:
         return self
@@ -75,146 +163,138 @@ class ForkServer:
     @property
     def pid(self) -> int | None:
         """The server's; None where there is none."""
-        return None if self._process is None else self._process.pid
+        pid: int | None = self._server._forkserver_pid
+        return pid
 
     def close(self) -> None:
-        """Ends the server; safe to call twice."""
-        self._is_gone()
-        if self._process is not None:
-            if not self._is_ready or self.stands:  # it may be loading still, and has forked nothing
-                self._process.kill()
-            try:
-                self._process.wait(END_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        """End the server; safe to call twice."""
+        self._is_closed = True
+        if self.pid is not None:
+            if not self._is_ready:  # it may be loading still, and has forked nothing
+                os.kill(self.pid, signal.SIGKILL)
+            with suppress(OSError):
+                self._server._stop()
+        for pipe in self._starting:
+            os.close(pipe)
+        self._starting.clear()
 
     def preload(self, fleet_file: Path) -> None:
-        """Has a fleet file read now, for all processes that will be forked."""
-        if self._can_be_asked():
-            self._ask({"fleet": str(fleet_file)})
+        """Start the server, which reads a fleet file for all processes."""
+        self._run(str(fleet_file))
 
     def yields(self, niceness: int) -> None:
-        """Has all that it will fork share processors as many robots do (`deploy.processes.scheduling`)."""
-        if self._can_be_asked():
-            self._ask({"yields": niceness})
+        """Have all later processes share processors as many robots do (`deploy.processes.scheduling`)."""
+        self._yields = niceness
 
     def start(
         self, module: str, arguments: Sequence[str], log: int, *, for_many: bool = False
     ) -> ForkedProcess | None:
-        """A process that is as ``python -P -m MODULE ARGUMENTS``, in a process group of its own; None where
-        it cannot be had.
+        """Start ``python -P -m MODULE ARGUMENTS`` in a process group of its own; None where it cannot be
+        forked.
 
         Args:
             log: where its output goes, an open file.
-            for_many: robots wait for it: it leaves them no more once it has started than before (`yields`).
+            for_many: robots wait for it, so it goes first where others yield.
 
         Raises:
-            OSError: the system has no room for another process, or the server stands.
+            OSError: the system has no room for another process, or the server is stuck.
         """
-        if command_line.room(words_of(module, arguments)) > ROOM or not self._can_be_asked():
+        is_known = module in MODULES and command_line.room(words_of(module, arguments)) <= ROOM
+        if self._is_closed or not is_known:
             return None
-        self._count += 1
-        what = {"module": module, "arguments": list(arguments), "for_many": for_many}
-        self._ask({"number": self._count, **what}, [log])
-        while (answer := self._next(ANSWER_S)) is not None:
-            message, handles = answer
-            if "errno" in message:
-                raise OSError(message["errno"], os.strerror(message["errno"]))
-            if "pid" in message:
-                if not handles:  # it is no program that it knows
-                    return None
-                return ForkedProcess(self, message["number"], message["pid"], handles[0])
-        if self._socket is not None:  # nor may another start it: it would be there twice, once this goes on
-            raise TimeoutError(ETIMEDOUT, f"the process that forks others ({self.pid}) does not answer")
-        return None
-
-    @property
-    def stands(self) -> bool:
-        """Whether something has ended long ago of which it has not told how."""
-        return self._owes_since is not None and time.monotonic() - self._owes_since > UNTOLD_S
-
-    def owes(self) -> None:
-        """It has not told yet how a process ended that has."""
-        if self._owes_since is None:
-            self._owes_since = time.monotonic()
-
-    def status(self, number: int) -> int | None:
-        """The exit status of one of its processes, once; None while it is not known."""
-        while self._socket is not None and self._next(0.0) is not None:
-            pass
-        return self._ended.pop(number, None)
-
-    @property
-    def news(self) -> socket.socket | None:
-        """What can be read when a process has ended; None when the server is gone."""
-        return self._socket
-
-    def _can_be_asked(self) -> bool:
-        """Waits until the server has loaded everything, the first time. One that does not is ended: nothing
-        has been forked by it."""
-        while self._socket is not None and not self._is_ready:
-            if self._next(ANSWER_S) is None:
-                self.close()
-        return self._socket is not None
-
-    def _is_gone(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    def _ask(self, request: object, handles: Sequence[int] = ()) -> None:
-        if self._socket is not None:
-            with suppress(OSError):  # its end is found where it should answer
-                socket.send_fds(self._socket, [json.dumps(request).encode()], handles)
-
-    def _next(self, timeout_s: float) -> tuple[dict[str, Any], list[int]] | None:
-        """The server's next message, with what it handed over; None when there is none, or no server."""
-        if self._socket is None or not select.select([self._socket], [], [], timeout_s)[0]:
-            return None
+        self._wait_for_room()
+        self._run()
+        program = _Program(self.pid, module, arguments, self._yields, for_many)
+        starting, has_started = os.pipe()
         try:
-            data, handles, _, _ = socket.recv_fds(self._socket, MESSAGE_MAX, 1)
-        except OSError:
-            data, handles = b"", []
-        if not data:
-            self._is_gone()
+            found = self._fork(program, [log, has_started])
+        finally:
+            os.close(has_started)
+            self._starting[starting] = time.monotonic() + START_S
+        if found is not None and _readable(starting, ANSWER_S):
+            os.read(starting, 1)  # as after the start of a program, its command line can be seen now
+        return found
+
+    def _fork(self, program: _Program, handles: list[int]) -> ForkedProcess | None:
+        request = io.BytesIO()
+        reduction.dump({"name": program.module, "dir": os.getcwd()}, request)
+        reduction.dump(program, request)
+        try:
+            answers, data = self._server.connect_to_new_process(handles)
+        except ConnectionError:  # the server is gone
+            self.close()
             return None
-        message: dict[str, Any] = json.loads(data)
-        self._is_ready, self._owes_since = True, None
-        if "ended" in message:
-            self._ended[message["ended"]] = message["status"]
-        return message, handles
+        with suppress(BrokenPipeError), open(data, "wb") as stream:
+            stream.write(request.getbuffer())
+        try:
+            if not _readable(answers, ANSWER_S):
+                if not self._is_ready:
+                    raise EOFError
+                self._is_ready = False
+                raise TimeoutError(ETIMEDOUT, f"the process that forks others ({self.pid}) does not answer")
+            pid = forkserver.read_signed(answers)
+        except EOFError:
+            os.close(answers)
+            self.close()
+            return None
+        self._is_ready = True
+        return ForkedProcess(pid, answers)
+
+    def _wait_for_room(self) -> None:
+        """Wait until another process may start."""
+        left_s = 0.0
+        while self._starting:
+            ready, _, _ = select.select([*self._starting], [], [], left_s)
+            now = time.monotonic()
+            for pipe in [pipe for pipe, until in self._starting.items() if pipe in ready or now >= until]:
+                del self._starting[pipe]
+                os.close(pipe)
+            if len(self._starting) < STARTING_MAX:
+                return
+            left_s = max(0.0, min(self._starting.values()) - now)
+
+    def _run(self, fleet_file: str = "") -> None:
+        """Start the server unless it runs."""
+        if self.pid is None and not self._is_closed:
+            with _environment(self._environment | {PRELOAD: f"{os.getpid()} {fleet_file}"}):
+                self._server.ensure_running()
 
 
 class ForkedProcess:
-    """A process that a fork server has forked: what is needed of `subprocess.Popen`.
+    """A forked process: what is needed of `subprocess.Popen`.
 
     Signals go by a handle (pidfd_open(2)), never to another process that has got its number since.
 
     Args:
-        number: by which the server tells of it.
-        handle: belongs to this from now on.
+        answers: pipe on which the server tells its status.
     """
 
-    def __init__(self, server: ForkServer, number: int, pid: int, handle: int) -> None:
+    def __init__(self, pid: int, answers: int) -> None:
         self.pid: Final = pid
         self.returncode: int | None = None
-        self._server, self._number, self._handle = server, number, handle
+        self._answers = answers
+        self._handle: int | None = None
+        """None once it has ended: the server may have taken its status already."""
+        with suppress(ProcessLookupError):
+            self._handle = os.pidfd_open(pid)
+        self._ended_s: float | None = None
 
     def __del__(self) -> None:
-        self._forget()
+        self._close()
 
     def poll(self) -> int | None:
         """Its exit status, None while it runs."""
-        if self.returncode is None:
-            server = self._server
-            self.returncode = server.status(self._number)
-            if self.returncode is None and _readable(self._handle, 0.0):
-                server.owes()
-                if server.news is None or server.stands:
+        if self.returncode is None and self._has_ended(0.0):
+            self._ended_s = self._ended_s or time.monotonic()
+            if _readable(self._answers, 0.0):
+                try:
+                    self.returncode = forkserver.read_signed(self._answers)
+                except EOFError:
                     self.returncode = UNSEEN
+            elif time.monotonic() - self._ended_s > UNTOLD_S:
+                self.returncode = UNSEEN
             if self.returncode is not None:
-                self._forget()
+                self._close()
         return self.returncode
 
     def wait(self, timeout: float) -> int:
@@ -225,19 +305,15 @@ class ForkedProcess:
         """
         deadline = time.monotonic() + timeout
         while (status := self.poll()) is None:
-            left = deadline - time.monotonic()
-            if left <= 0.0:
+            left_s = deadline - time.monotonic()
+            if left_s <= 0.0:
                 raise subprocess.TimeoutExpired(str(self.pid), timeout)
-            news = self._server.news
-            if news is None or not _readable(self._handle, 0.0):
-                waited: list[int | socket.socket] = [self._handle]
-                select.select(waited if news is None else [*waited, news], [], [], left)
-            else:
-                _readable(news, min(left, UNTOLD_S / 10))
+            if self._has_ended(left_s):
+                _readable(self._answers, min(left_s, UNTOLD_S / 10))
         return status
 
     def send_signal(self, number: int) -> None:
-        if self.poll() is None:
+        if self.poll() is None and self._handle is not None:
             with suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self._handle, number)
 
@@ -247,11 +323,28 @@ class ForkedProcess:
     def kill(self) -> None:
         self.send_signal(signal.SIGKILL)
 
-    def _forget(self) -> None:
-        if self._handle >= 0:
+    def _has_ended(self, timeout_s: float) -> bool:
+        return self._handle is None or _readable(self._handle, timeout_s)
+
+    def _close(self) -> None:
+        if self._answers >= 0:
+            os.close(self._answers)
+        if self._handle is not None:
             os.close(self._handle)
-            self._handle = -1
+        self._answers, self._handle = -1, None
 
 
-def _readable(what: int | socket.socket, timeout_s: float) -> bool:
-    return bool(select.select([what], [], [], timeout_s)[0])
+@contextmanager
+def _environment(wanted: Mapping[str, str]) -> Iterator[None]:
+    """Meanwhile this process has another environment, which processes that it starts take over."""
+    before = dict(os.environ)
+    os.environ.update(wanted)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def _readable(handle: int, timeout_s: float) -> bool:
+    return bool(select.select([handle], [], [], timeout_s)[0])

@@ -170,7 +170,7 @@ class Command:
 
     def child(self, robot: int, role: str) -> int:
         """pid of one robot's agent or plant."""
-        wanted = f"-m {role} "
+        wanted = f"-m handfast.{role} "
         for pid, text in self.children().items():
             if wanted in text and f"--robot {robot} " in f"{text} ":
                 return pid

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.deploy.processes.forking import SERVER
+from handfast.deploy.processes.forking import PRELOADING
 from tests.process.harness import Command, children, no_trouble_in_logs, running, wait_for
 
 NETWORK = ("--set", "network.base_port=21120")
@@ -25,7 +25,7 @@ def server_of(command: Command) -> int:
     """pid of the fork server of a run, as soon as there is one."""
 
     def look() -> int:
-        found = [pid for pid, text in children(command.process.pid).items() if f"-m {SERVER}" in text]
+        found = [pid for pid, text in children(command.process.pid).items() if f"-m {PRELOADING}" in text]
         return found[0] if found else 0
 
     return wait_for(look, "a fork server", report=command.told)
@@ -58,7 +58,16 @@ def test_processes_are_forked_and_seen_as_if_they_were_started(tmp_path: Path) -
         for role in ("agent", "plant"):
             pid = command.child(2, role)
             words = Path(f"/proc/{pid}/cmdline").read_text().rstrip("\0").split("\0")
-            assert words[:8] == [sys.executable, "-P", "-m", role, "--fleet", str(fleet), "--robot", "2"]
+            assert words[:8] == [
+                sys.executable,
+                "-P",
+                "-m",
+                f"handfast.{role}",
+                "--fleet",
+                str(fleet),
+                "--robot",
+                "2",
+            ]
             assert words[-1] == "--exit-with-parent"
             assert os.getpgid(pid) == pid, "a Ctrl-C is not for it"
         command.process.send_signal(signal.SIGINT)

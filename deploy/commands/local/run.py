@@ -47,7 +47,7 @@ def _run(options: argparse.Namespace) -> int:
         fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
-        run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet), options.server)
+        run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet))
         with PageBeside(folder.path, interrupt, wanted=options.view) as page:
             try:
                 with view:
