@@ -14,9 +14,9 @@ FLEET = "guarded"
 ROBOTS = (1, 2, 3)
 
 
-def authority(folder: Path, now_s: float = NOW_S, fleet: str = FLEET) -> Authority:
+def authority(folder: Path, now_s: float = NOW_S, fleet: str = FLEET, *, new: bool = False) -> Authority:
     """The authority in `folder`; the caller closes it."""
-    return Authority(folder, fleet, ROBOTS, now_s)
+    return Authority(folder, fleet, ROBOTS, now_s, new=new)
 
 
 def credentials(

@@ -9,7 +9,7 @@ an order is older than another is the receiver's to find out, by the version in 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -186,28 +186,6 @@ def unverified(sealed: bytes) -> bytes:
     if len(sealed) > SEALED_BYTES_MAX:
         raise Forged("oversized", f"{len(sealed)} bytes, at most {SEALED_BYTES_MAX} are accepted")
     return _parts(sealed)[3]
-
-
-class Openers:
-    """Opens what was sealed under any of several authorities: recordings outlive an authority.
-
-    Args:
-        openers: one of each, at least one.
-    """
-
-    def __init__(self, openers: Sequence[Opener]) -> None:
-        self._openers: Final = openers
-
-    def open_recorded(self, sealed: bytes) -> Order:
-        """See `Opener.open_recorded`; raises as the first of them."""
-        first: Forged | None = None
-        for opener in self._openers:
-            try:
-                return opener.open_recorded(sealed)
-            except Forged as error:
-                first = first or error
-        assert first is not None
-        raise first
 
 
 def _packed(parts: tuple[int, int, bytes, bytes, bytes]) -> bytes:

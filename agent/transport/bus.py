@@ -88,7 +88,6 @@ def settings_of(
     connect: Sequence[str],
     security: Security | None,
     link_timeout_s: float = LINK_TIMEOUT_S,
-    retry_ms: tuple[int, int] = RETRY_MS,
     lease_ms: int = LEASE_MS,
 ) -> dict[str, Any]:
     """Zenoh's settings, by their paths in its configuration.
@@ -103,8 +102,8 @@ def settings_of(
         "connect/exit_on_failure": False,
         **({"connect/timeout_ms": _patience_ms(connect, link_timeout_s)} if mode == "client" else {}),
         "connect/retry": {
-            "period_init_ms": retry_ms[0],
-            "period_max_ms": retry_ms[1],
+            "period_init_ms": RETRY_MS[0],
+            "period_max_ms": RETRY_MS[1],
             "period_increase_factor": 2,
         },
         # Opening does not wait for anybody: neighbours come when they come.
@@ -169,16 +168,13 @@ def _open(
     connect: Sequence[str],
     security: Security | None,
     link_timeout_s: float = LINK_TIMEOUT_S,
-    retry_ms: tuple[int, int] = RETRY_MS,
     lease_ms: int = LEASE_MS,
 ) -> Any:
     """A session; raises `BusError`."""
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     _share_heap()
     try:
-        session = zenoh.open(
-            _config(settings_of(mode, listen, connect, security, link_timeout_s, retry_ms, lease_ms))
-        )
+        session = zenoh.open(_config(settings_of(mode, listen, connect, security, link_timeout_s, lease_ms)))
         _SESSIONS.append(session)
         return session
     except zenoh.ZError as error:
@@ -300,7 +296,6 @@ class Bus:
         is_wanted: asked all the while until one does, from where signals are answered; False: it raises,
             and the process has to end outright (`is_opening`).
         link_timeout_s: a link on which nothing new comes for so long while it is opened is tried again.
-        retry_ms: shortest and longest pause before that.
         robots: how many the fleet has: so much may come at once.
         lease_ms: who hears nothing of this process for so long takes it to be gone.
         batches: what is heard in batches from a router, None for nothing.
@@ -320,7 +315,6 @@ class Bus:
         go_on_waiting: Callable[[], bool] = lambda: False,
         is_wanted: Callable[[], bool] | None = None,
         link_timeout_s: float = LINK_TIMEOUT_S,
-        retry_ms: tuple[int, int] = RETRY_MS,
         robots: int = 1,
         batches: Batches | None = None,
         lease_ms: int = LEASE_MS,
@@ -335,9 +329,7 @@ class Bus:
         self._reopened_ns: dict[str, int] = {}
         try:
             if listen or connect or not routers:
-                self._sessions.append(
-                    _open("peer", listen, connect, security, link_timeout_s, retry_ms, lease_ms)
-                )
+                self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, lease_ms))
             if routers:
                 with self._looking() if len(routers) > 1 else nullcontext():
                     client = _open_client(

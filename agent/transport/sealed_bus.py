@@ -21,7 +21,7 @@ from handfast.agent.security.order_gate import OrderGate
 from handfast.agent.security.refusals import FILTER
 from handfast.agent.security.sealed_order import Opener, Sealer
 from handfast.agent.transport.batches import Batches
-from handfast.agent.transport.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
+from handfast.agent.transport.bus import LINK_TIMEOUT_S, Bus, init_log
 from handfast.agent.transport.zenoh_log import ZenohLog
 
 Log = Callable[[str], None]
@@ -149,7 +149,6 @@ def bus_for(
     through_routers: bool = True,
     go_on_waiting: Callable[[], bool] = lambda: False,
     is_wanted: Callable[[], bool] | None = None,
-    retry_ms: tuple[int, int] = RETRY_MS,
     keep_seals: bool = False,
     whenever: bool = False,
     in_batches: bool = False,
@@ -180,7 +179,6 @@ def bus_for(
             go_on_waiting=go_on_waiting,
             is_wanted=is_wanted,
             link_timeout_s=link_timeout_s,
-            retry_ms=retry_ms,
             robots=len(fleet.robots),
             batches=batches,
             lease_ms=fleet.lease_ms,
@@ -199,7 +197,6 @@ def bus_for(
         keep_seals=keep_seals,
         whenever=whenever,
         link_timeout_s=link_timeout_s,
-        retry_ms=retry_ms,
         robots=len(fleet.robots),
         batches=batches,
         lease_ms=fleet.lease_ms,

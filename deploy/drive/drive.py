@@ -17,6 +17,7 @@ from handfast.agent.links.ticks import next_tick_ns
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Event, Heartbeat, Stop
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots, some
 from handfast.deploy.drive import realtime
@@ -29,7 +30,6 @@ from handfast.deploy.faults.process_actions import WORDS, Action, actions
 from handfast.deploy.orders.mission_editing import OrderError
 from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
 from handfast.deploy.processes.protocol import Ended, FleetProcesses
-from handfast.deploy.session.joined_bus import OperatorBus
 from handfast.deploy.session.stop import Way
 
 POLL_S: Final = 0.04
@@ -71,7 +71,7 @@ class Drive:
         self,
         fleet: Fleet,
         processes: FleetProcesses,
-        bus: OperatorBus,
+        bus: Bus,
         record: Record,
         view: View,
         interrupt: Interrupt,

@@ -26,6 +26,7 @@ from handfast.agent.messages.types import (
     Wrench,
 )
 from handfast.agent.runtime.clock import RealClock
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.wording import robots, some
 from handfast.deploy.drive.readiness import in_words, is_ready, may_begin, waits
 from handfast.deploy.drive.vehicle_checks import VehicleChecks
@@ -36,7 +37,6 @@ from handfast.deploy.orders.operator import HEARD_NS, Operator, Order
 from handfast.deploy.processes.protocol import FleetProcesses
 from handfast.deploy.recording.recorder import RecordingError
 from handfast.deploy.session.author import author
-from handfast.deploy.session.joined_bus import OperatorBus
 from handfast.deploy.session.live_operators import StopDoor
 from handfast.deploy.session.session import valid
 
@@ -70,7 +70,7 @@ class FleetState:
     def __init__(
         self,
         fleet: Fleet,
-        bus: OperatorBus,
+        bus: Bus,
         processes: FleetProcesses,
         record: Record,
         listens: Sequence[str] = (),

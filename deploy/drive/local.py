@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.display.live_view import View
 from handfast.deploy.drive.drive import Drive
@@ -20,7 +21,6 @@ from handfast.deploy.processes.local import Processes
 from handfast.deploy.processes.placement import Vehicle, held_orders, orders_folder
 from handfast.deploy.processes.scheduling import interrupting_nobody
 from handfast.deploy.report.run_folder import RunFolder
-from handfast.deploy.session.joined_bus import OperatorBus
 from handfast.deploy.session.operator_bus import operator_bus
 from handfast.deploy.session.stop_by_file import FileWay
 
@@ -102,7 +102,7 @@ class LocalRun:
         return (fleet.listening_rounds + LISTEN_MORE) * fleet.period_ns
 
     @contextmanager
-    def _started(self) -> Iterator[OperatorBus]:
+    def _started(self) -> Iterator[Bus]:
         """Starts all processes; a bus on which they are."""
         self._say_start()
         self._processes.start_routers()

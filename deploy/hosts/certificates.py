@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Final
 
 from handfast.agent.common.wording import printable
@@ -55,8 +54,8 @@ def refusal(found: str, own: str, file: str) -> str:
     """
     return (
         f"left as it was: its robots have another authority, {short(found)}; this machine's is {short(own)}. "
-        f"Ask for a certificate of theirs (`handfast keys {file} --request`), or, where theirs is lost for "
-        f"good, replace it (`handfast up {file} --take-over`)"
+        f"Ask for a certificate of theirs (`handfast keys {file} --request`), or, where theirs was replaced "
+        f"or is lost, `handfast down {file}` first"
     )
 
 
@@ -70,46 +69,47 @@ class HostKeys:
             are refused.
         own: the certificate of the authority that this operator knows (PEM).
         file: the fleet's, as it is named in commands.
-        take_over: whether robots of another authority are given certificates of this one.
     """
 
-    def __init__(
-        self, fleet: Fleet, authority: Authority | None, own: bytes, file: str, *, take_over: bool = False
-    ) -> None:
-        self._fleet, self._authority, self._file, self._take_over = fleet, authority, file, take_over
+    def __init__(self, fleet: Fleet, authority: Authority | None, own: bytes, file: str) -> None:
+        self._fleet, self._authority, self._file = fleet, authority, file
         self._addresses = {host.name: host.address or host.name for host in fleet.hosts}
         self._own_pem, self._own = own.decode("ascii"), fingerprint(authority_from_pem(own))
-        self._found: dict[str, str] = {}
 
     @property
     def is_first(self) -> bool:
         """Whether no robot has been given a certificate by this authority yet, as far as is known here."""
-        return self._authority is not None and not self._authority.has_robots and not self._take_over
+        return self._authority is not None and not self._authority.has_robots
 
-    def look(self, connection: HostConnection) -> None:
-        """Looks which authority the robots of a host have, before anything changes there.
+    def look(self, connection: HostConnection) -> str:
+        """Look which authority the robots of a host have, before anything changes there.
+
+        Returns:
+            The fingerprint of another authority that this one is to replace, "" for none: no process of the
+            fleet runs on that host.
 
         Raises:
-            AnotherAuthorityError: one that this machine's has not replaced.
+            AnotherAuthorityError: another one, which stays.
             HostError: the host does not answer.
         """
-        keys, name = f"fleets/{self._fleet.fleet.name}/keys", AUTHORITY_CERTIFICATE
-        found = ""
-        if name in connection.ask("listing", folder=keys, pattern=name, most=1):
-            pem = connection.exchange(
-                "get", None, data_bytes=PEM_BYTES_MAX, path=f"{keys}/{name}", most=PEM_BYTES_MAX
-            )[1]
-            with suppress(CertificateError):  # one that is damaged rules nobody
-                found = fingerprint(authority_from_pem(pem))
-        self._found[connection.host.name] = found
-        if found in ("", self._own) or self._take_over:
-            return
-        if self._authority is None or not self._authority.has_been(found):
+        fleet, name = self._fleet.fleet.name, AUTHORITY_CERTIFICATE
+        keys = f"fleets/{fleet}/keys"
+        if name not in connection.ask("listing", folder=keys, pattern=name, most=1):
+            return ""
+        pem = connection.exchange(
+            "get", None, data_bytes=PEM_BYTES_MAX, path=f"{keys}/{name}", most=PEM_BYTES_MAX
+        )[1]
+        try:
+            found = fingerprint(authority_from_pem(pem))
+        except CertificateError:  # one that is damaged rules nobody
+            return ""
+        if found == self._own:
+            return ""
+        units = connection.ask("status", fleet=fleet)["units"]
+        runs = any(about.get("ActiveState") == "active" for about in units.values())
+        if runs or self._authority is None:
             raise AnotherAuthorityError(refusal(found, self._own, self._file))
-
-    def replaces(self, host: str) -> bool:
-        """Whether the robots of a host that was looked at have another authority, and are to get this one."""
-        return self._found[host] not in ("", self._own)
+        return found
 
     def __call__(self, connection: HostConnection, version: str, folder: str, *, robots: bool = True) -> None:
         """Sees to the robots and the router of one host.

@@ -182,7 +182,7 @@ class SshWay:
             if not ahead_ns and self._sealed is not None and self._sealed[0] is stop:
                 return self._sealed[1]
             version = least_believed(stop.version, time.time_ns() + ahead_ns)
-            order = packed(sealed(self._fleet, encode(stop._replace(version=version)), ahead_ns))
+            order = packed([sealed(self._fleet, encode(stop._replace(version=version)), ahead_ns)])
             if not ahead_ns:
                 self._sealed = stop, order
             return order

@@ -40,6 +40,7 @@ from handfast.deploy.hosts.router_start import start_router
 from handfast.deploy.hosts.setup import Prepared, prepare
 from handfast.deploy.hosts.view import DOING, DONE, FAILED, INTERRUPTED, HostsView, Row
 from handfast.deploy.inventory.hosts import robots_on, robots_text
+from handfast.deploy.inventory.operator_credentials import short
 from handfast.deploy.session.sealing import sealed, unsealed
 
 SAY_PERIOD_S: Final = 0.25
@@ -91,7 +92,6 @@ class BringUp:
         routers: by number, what became of the routers on these hosts.
         left: robots that should have started again and did not, as one before them did not come back.
         warnings: what the operator should know.
-        has_authority_of_now: whether all robots of the fleet are there, with the authority of now.
     """
 
     def __init__(
@@ -120,7 +120,6 @@ class BringUp:
         """Held by the one robot that may be down while the fleet drives."""
         self._halted = ""
         self._rolling = self._foreign = False
-        self.has_authority_of_now = False
         self._asked: set[str] = set()
         self._ruled: list[str] = []
         """Hosts that were asked which authority their robots have, and those that have another one."""
@@ -169,7 +168,6 @@ class BringUp:
             self._arrivals.look()
             if goes_on := older_mission(self._arrivals.operator, self._arrivals.now_ns()):
                 self.warnings.append(goes_on)
-            self.has_authority_of_now = set(self._arrivals.receivers) <= self._arrivals.with_authority_of_now
             for row in self.rows.values():
                 self._conclude(row)
             view.show(list(self.rows.values()))
@@ -259,7 +257,7 @@ class BringUp:
         self._starts = True
         if not self._stopped.wait(self._timing.listen_s + 5.0) or self._stop is None:
             raise HostError("left as it was: this machine is too busy to stop the fleet first")
-        order = packed(sealed(self.fleet, encode(self._stop)))
+        order = packed([sealed(self.fleet, encode(self._stop))])
         connection.exchange("order", order, fleet=name)
 
     def _settle(self, interrupt: Interrupt) -> None:
@@ -335,11 +333,6 @@ class BringUp:
                 )
             if not self._rolling:
                 self._refuse_unheard(connection)
-            if self._rolling and self._replaces(connection):
-                raise HostError(
-                    "left as it was: the fleet drives, and would fall apart with robots of two authorities. "
-                    "`handfast stop` first, then up"
-                )
             self._before_changes(row.host)
 
         if self._keys is not None:
@@ -361,7 +354,8 @@ class BringUp:
         given any robot a certificate, also where those of any other host have: a fleet shall not have two."""
         is_first, name = keys.is_first, connection.host.name
         try:
-            keys.look(connection)
+            if found := keys.look(connection):
+                self.warnings.append(f"{name}: its robots had another authority, {short(found)}")
         except AnotherAuthorityError:
             self._ruled.append(name)
             raise
@@ -375,9 +369,6 @@ class BringUp:
         if is_first and self._ruled:
             raise HostError(f"left as it was: another authority rules on {', '.join(self._ruled)}")
 
-    def _replaces(self, connection: HostConnection) -> bool:
-        return self._keys is not None and self._keys.replaces(connection.host.name)
-
     def _refuse_unheard(self, connection: HostConnection) -> None:
         """Raises `HostError` where the fleet is heard to stand, but a robot there says that it drives."""
         units = connection.ask("status", fleet=self.fleet.fleet.name)["units"]
@@ -386,12 +377,7 @@ class BringUp:
             state = about.get("StatusText", "").partition(":")[0]
             if about.get("ActiveState") != "active" or state not in DRIVING_NAMES:
                 continue
-            drives = self._hears and self._arrivals.drives(robot)
-            if not drives and self._replaces(connection):
-                raise HostError(
-                    f"left as it was: robot {robot} drives, by another authority: `handfast down` first"
-                )
-            if not drives:
+            if not (self._hears and self._arrivals.drives(robot)):
                 raise HostError(
                     f"left as it was: robot {robot} drives, but is not heard here: `handfast stop` first, or "
                     "open the ports"

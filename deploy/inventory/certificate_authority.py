@@ -1,8 +1,7 @@
 """The fleet's certificate authority, on the operator's machine: whom it has signed a certificate for.
 
-Its private key never leaves this folder, but in a backup (`deploy.inventory.authority_backup`). There is no
-list of revoked certificates that robots would have to be given: to shut somebody out, `replace` makes a new
-authority, and all others get new certificates of it.
+Its private key never leaves this folder. There are no lists of revoked certificates, which robots in a field
+could not fetch: a new authority revokes all certificates of the previous one.
 """
 
 from __future__ import annotations
@@ -37,11 +36,7 @@ from handfast.agent.security.identity import Identity, IdentityError, addresses,
 from handfast.agent.security.private_files import KeyFileError
 from handfast.deploy.inventory.certificate_builder import self_signed, signed
 from handfast.deploy.inventory.certificate_requests import RequestError, examined
-from handfast.deploy.inventory.operator_credentials import (
-    AUTHORITY_FILE,
-    keep_as_earlier,
-    short,
-)
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, short
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
@@ -83,11 +78,12 @@ class Authority:
         fleet: name of the fleet.
         robots: ids of the robots that may have certificates.
         now_s: the present, wall time.
-        instead: makes a new authority also where the folder knows one that is not here: that one is lost.
+        new: makes a new authority in place of the one that the folder has or knows, which revokes its
+            certificates.
 
     Attributes:
         created: whether the authority is a new one.
-        generation: 1, and one more for each `replace`.
+        generation: 1, and one more for each that took the place of another.
 
     Raises:
         AuthorityError: the files cannot be used, or another command uses them; or the folder has
@@ -95,7 +91,7 @@ class Authority:
     """
 
     def __init__(
-        self, folder: Path, fleet: str, robots: Collection[int], now_s: float, *, instead: bool = False
+        self, folder: Path, fleet: str, robots: Collection[int], now_s: float, *, new: bool = False
     ) -> None:
         self.folder, self.fleet = folder, fleet
         self._robots = frozenset(robots)
@@ -103,14 +99,13 @@ class Authority:
         self.created = False
         self.generation = 1
         self._issued: list[Issued] = []
-        self._replaced: list[str] = []
         try:
             private_files.private_directory(folder)
             self._lock = _locked(folder, fleet)
         except KeyFileError as error:
             raise AuthorityError(str(error)) from None
         try:
-            self._open(now_s, instead)
+            self._open(now_s, new)
         except (KeyFileError, CertificateError) as error:
             self.close()
             raise AuthorityError(str(error)) from None
@@ -153,13 +148,9 @@ class Authority:
         """All that it has signed, the oldest first, of earlier generations too."""
         return tuple(self._issued)
 
-    def has_been(self, digits: str) -> bool:
-        """Whether an authority of this fingerprint is this one, or one that this one has replaced."""
-        return digits == self.fingerprint or digits in self._replaced
-
     @property
     def has_robots(self) -> bool:
-        """Whether it, or one that it has replaced, has ever signed a robot's certificate."""
+        """True if it, or one before it, has ever signed a robot's certificate."""
         return any(parse(entry.identity).role == "robot" for entry in self._issued)
 
     def sign(self, identity: Identity, request: bytes, where: Iterable[str], now_s: float) -> bytes:
@@ -182,29 +173,11 @@ class Authority:
             raise AuthorityError(f"the request of {identity} is one for {asked.common_name[:80]!r}")
         return self._sign(identity, asked.key, where, now_s)
 
-    def replace(self, now_s: float) -> None:
-        """A new authority instead of this one: every certificate that was signed is worth nothing any more.
-
-        Credentials of before are kept, for the robots that have no others yet
-        (`deploy.inventory.operator_credentials`).
-
-        Raises:
-            AuthorityError: it cannot be written.
-        """
-        with self._thread_lock:
-            try:
-                keep_as_earlier(self.folder)
-            except KeyFileError as error:
-                raise AuthorityError(str(error)) from None
-            self._replaced.append(self.fingerprint)
-            self._write_index()
-            self._make(self.generation + 1, now_s)
-
-    def _open(self, now_s: float, instead: bool) -> None:
+    def _open(self, now_s: float, new: bool) -> None:
         self._read_index()
-        if not private_files.exists(self._file):
-            self._refuse_second(instead)
-            keep_as_earlier(self.folder)
+        if new or not private_files.exists(self._file):
+            if not new:
+                self._refuse_second()
             used = [entry.generation for entry in self._issued]
             self._make(1 + max([*used, self._generation_known()]), now_s)
             self.created = True
@@ -224,16 +197,15 @@ class Authority:
         self.generation = int(generation)
         self._write_certificate()
 
-    def _refuse_second(self, instead: bool) -> None:
+    def _refuse_second(self) -> None:
         """Refuses to make an authority beside one that is known here, but kept elsewhere."""
         known = authority_of(self.folder)
-        if known and not instead:
+        if known:
             raise AuthorityError(
                 f"{self.folder} has certificates of the authority {short(known)}, which is not here: ask for "
-                "new ones where it is (--request), bring it back (--restore FILE), or, if it is lost, make "
-                "another (--replace-authority)"
+                "new ones where it is (--request), or, if it is lost, make another (--new-authority)"
             )
-        if not known and any(self.folder.glob("*.next.key")):
+        if any(self.folder.glob("*.next.key")):
             raise AuthorityError(
                 f"a request from {self.folder} waits to be signed by the fleet's authority: --install what "
                 "it has signed; to make an authority here instead, remove that folder first"
@@ -280,7 +252,7 @@ class Authority:
             raise AuthorityError(f"there is no robot {identity.robot} in {self.fleet}")
         if self.days_left(now_s) <= 0:
             raise AuthorityError(
-                f"the authority of {self.fleet} has expired: `handfast keys {self.fleet} --replace-authority`"
+                f"the authority of {self.fleet} has expired: `handfast keys {self.fleet} --new-authority`"
             )
         try:
             holds_for = addresses((*where, *LOOPBACK))
@@ -317,18 +289,16 @@ class Authority:
             found = [Issued(**row | {"addresses": tuple(row["addresses"])}) for row in tables["issued"]]
             for entry in found:
                 parse(entry.identity)
-            replaced = list(map(str, tables.get("replaced", [])))
         except (ValueError, TypeError, KeyError):  # not JSON, or not as we write it
             raise AuthorityError(
                 f"{self._index} is damaged: put it away; certificates that were signed stay valid"
             ) from None
-        self._issued, self._replaced = found, replaced
+        self._issued = found
 
     def _write_index(self) -> None:
         table = {
             "version": _INDEX_VERSION,
             "fleet": self.fleet,
-            "replaced": self._replaced,
             "issued": [*map(asdict, self._issued)],
         }
         try:

@@ -79,7 +79,7 @@ def operators(fleet: Fleet, file: str) -> list[Expiry]:
     ends_s = found.authority.not_valid_after_utc.timestamp()
     return [
         Expiry(str(identity), found.certificate.not_after_s, f"`handfast keys {file}`"),
-        Expiry("the authority", ends_s, f"`handfast keys {file} --replace-authority`"),
+        Expiry("the authority", ends_s, f"`handfast keys {file} --new-authority`"),
     ]
 
 

@@ -28,11 +28,7 @@ from handfast.agent.security.credentials import (
 )
 from handfast.agent.security.identity import Identity, IdentityError, parse
 from handfast.deploy.inventory.certificate_requests import RequestError, examined
-from handfast.deploy.inventory.operator_credentials import (
-    AUTHORITY_FILE,
-    keep_as_earlier,
-    short,
-)
+from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, short
 
 SIGNED_BYTES_MAX: Final = 2 * PEM_BYTES_MAX
 """Of what `install` takes: two certificates."""
@@ -75,8 +71,7 @@ def requested_by(pem: bytes, fleet: str, operators: Collection[str], what: str) 
 
 
 def install(folder: Path, bundle: bytes, fleet: str, operators: Collection[str], now_s: float) -> Credentials:
-    """Takes an operator's certificate and the authority's, as signed for a request from `folder`. Credentials
-    of another authority that were in use are kept (`deploy.inventory.operator_credentials`).
+    """Takes an operator's certificate and the authority's, as signed for a request from `folder`.
 
     Raises:
         RequestError: they are of another fleet, or of somebody who gives no orders there; or `folder` has
@@ -105,8 +100,6 @@ def install(folder: Path, bundle: bytes, fleet: str, operators: Collection[str],
             f"it is of the authority {short(new)}, and {folder} has another one itself, {short(known)}: put "
             f"{folder / AUTHORITY_FILE} away first"
         )
-    if known and known != new:
-        keep_as_earlier(folder)
     return store(folder, identity, bundle, now_s)
 
 

@@ -24,7 +24,7 @@ from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import Faults, Mission, Resume, Stop
 from handfast.agent.messages.validation import Malformed
 from handfast.agent.recorder.recorder import About, Received, order_message
-from handfast.agent.security.sealed_order import Forged, Openers
+from handfast.agent.security.sealed_order import Forged, Opener
 from handfast.deploy.merging.robot_files import MergeError, RobotFile
 
 DISTINCT_MAX: Final = 4096
@@ -40,7 +40,7 @@ Order = Mission | Stop | Resume
 
 
 def orders_given(
-    recorded: Mapping[int, Iterable[bytes]], opener: Openers | None, voters: Callable[[int], int]
+    recorded: Mapping[int, Iterable[bytes]], opener: Opener | None, voters: Callable[[int], int]
 ) -> tuple[list[Order], Counter[int]]:
     """Return the orders that count, by time, and by robot the number of orders that do not.
 
@@ -72,7 +72,7 @@ def orders_given(
     return sorted(given, key=lambda order: (order.time_ns, order.version)), +left_out
 
 
-def _order(payload: bytes, opener: Openers | None) -> Order | None:
+def _order(payload: bytes, opener: Opener | None) -> Order | None:
     try:
         message = order_message(payload) if opener is None else decode(opener.open_recorded(payload).payload)
     except (Malformed, Forged):

@@ -24,7 +24,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode, newer
 from handfast.agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
 from handfast.agent.recorder.recorder import Received
-from handfast.agent.security.sealed_order import Openers
+from handfast.agent.security.sealed_order import Opener
 from handfast.deploy.merging.believed import FleetFiles, HeldFaults, Order, orders_given
 from handfast.deploy.merging.robot_files import GAP_NS, Damage, MergeError, RobotFile, by_time, recordings
 from handfast.deploy.recording.recorder import RecordingError
@@ -66,7 +66,7 @@ class Known(NamedTuple):
     """
 
     fleet: Fleet | None = None
-    opener: Openers | None = None
+    opener: Opener | None = None
     fetched_before: Collection[int] = ()
 
 

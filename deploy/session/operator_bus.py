@@ -3,41 +3,24 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
-from typing import Final
 
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.security.credentials import CredentialsError, MissingError, NotValidNowError
+from handfast.agent.security.credentials import CredentialsError, MissingError, NotValidNowError, load
 from handfast.agent.security.identity import IdentityError, of_operator
-from handfast.agent.security.refusals import ANOTHER_AUTHORITY
-from handfast.agent.transport.bus import Bus, BusError
+from handfast.agent.transport.bus import Bus
 from handfast.agent.transport.sealed_bus import bus_for
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.faults.live import receivers
-from handfast.deploy.inventory.operator_credentials import (
-    OPERATOR,
-    earlier_folders,
-    keys_folder,
-    operator_name,
-)
-from handfast.deploy.inventory.operator_renewal import usable
-from handfast.deploy.session.joined_bus import JoinedBus, OperatorBus
-
-JOINED_RETRY_MS: Final = (500, 1000)
-"""Pauses between attempts where some robots must refuse them, having another authority: each refusal costs
-the robot a tenth of a second in which it accepts nobody else."""
-BOTH: Final = "some robots may have an earlier authority still: linking with both; `handfast up` ends that"
+from handfast.deploy.inventory.operator_credentials import OPERATOR, keys_folder, operator_name
 
 
-def operator_bus(
-    fleet: Fleet, *, whenever: bool = False, is_wanted: Callable[[], bool] | None = None
-) -> OperatorBus:
-    """On the bus of `fleet`, connected to every agent and plant, or to one of its routers; while an authority
-    is being replaced, with the credentials of before as well.
+def operator_bus(fleet: Fleet, *, whenever: bool = False, is_wanted: Callable[[], bool] | None = None) -> Bus:
+    """On the bus of `fleet`, connected to every agent and plant, or to one of its routers.
 
     Args:
         whenever: tries it with a certificate that is not valid now, too, and says so: this machine's clock
@@ -66,52 +49,15 @@ def operator_bus(
             f"{OPERATOR}: robots of {name} take no orders of {who}; network.operators are "
             f"{', '.join(fleet.network.operators)}"
         )
-    earlier = earlier_folders(folder)
     try:
-        usable(fleet, folder, identity)
+        load(folder, identity, time.time())
     except NotValidNowError as error:
-        if whenever:
-            _log(f"{error}{_advice(error)}")
-    except CredentialsError:
-        pass  # said below
-    try:
-        if earlier:
-            patient = partial(opens, identity, log=_log_joined, retry_ms=JOINED_RETRY_MS)
-            return _joined(patient, folder, earlier)
-        return opens(identity, folder, _log)
+        if not whenever:
+            raise InputError(f"{error}{_advice(error)}") from None
+        _log(f"{error}{_advice(error)}")
     except CredentialsError as error:
         raise InputError(f"{error}{_advice(error)}") from None
-
-
-def _joined(opens: Callable[[Path], Bus], folder: Path, earlier: list[Path]) -> OperatorBus:
-    """A bus with the credentials of each folder that can be used; raises as the first where there are none.
-
-    Args:
-        opens: a bus with the credentials of a folder.
-    """
-    found: list[Bus | None] = []
-    first: CredentialsError | BusError | None = None
-    try:
-        for each in (folder, *earlier):
-            try:
-                found.append(opens(each))
-            except (CredentialsError, BusError) as error:
-                first = first or error
-                found.append(None)
-                if each == folder and isinstance(error, CredentialsError):
-                    _log(f"{error}{_advice(error)}")
-    except BaseException:
-        JoinedBus(None, [bus for bus in found if bus is not None]).close()
-        raise
-    now, *before = found
-    usable = [bus for bus in before if bus is not None]
-    if now is None and not usable:
-        assert first is not None
-        raise first
-    if now is not None and not usable:
-        return now
-    _log(BOTH)
-    return JoinedBus(now, usable)
+    return opens(identity, folder, _log)
 
 
 def _advice(error: CredentialsError) -> str:
@@ -120,12 +66,6 @@ def _advice(error: CredentialsError) -> str:
     if isinstance(error, NotValidNowError):
         return "; `handfast keys` renews it (on another computer than the authority's: --request)"
     return ""
-
-
-def _log_joined(text: str) -> None:
-    """As `_log`, without what is so by the nature of things: that each robot refuses one of the two."""
-    if not any(why in text for why in ANOTHER_AUTHORITY):
-        _log(text)
 
 
 def _log(text: str) -> None:

@@ -13,73 +13,50 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import Resume, Stop
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.runtime.order_store import ORDERS_MAX
 from handfast.agent.security import private_files
 from handfast.agent.security.certificates import CertificateError, authority_from_pem
-from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE, CredentialsError
+from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE, CredentialsError, load
 from handfast.agent.security.identity import IdentityError, of_operator
-from handfast.agent.security.sealed_order import Forged, Opener, Openers, Sealer
+from handfast.agent.security.sealed_order import Forged, Opener, Sealer
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.inventory.operator_credentials import (
-    earlier_folders,
-    former_certificates,
-    keys_folder,
-    operator_name,
-)
-from handfast.deploy.inventory.operator_renewal import usable
+from handfast.deploy.inventory.operator_credentials import keys_folder, operator_name
 
 
-def sealed(fleet: Fleet, order: bytes, ahead_ns: int = 0) -> tuple[bytes, ...]:
-    """The encoded order, sealed by this operator where `fleet` is secured; while an authority is being
-    replaced once with the credentials of each.
+def sealed(fleet: Fleet, order: bytes, ahead_ns: int = 0) -> bytes:
+    """Return the encoded order, sealed by this operator where `fleet` is secured.
 
     Args:
-        ahead_ns: how far the clock of who opens it is ahead of this machine's.
+        ahead_ns: how far the clock of the robot that opens it is ahead of this machine's.
 
     Raises:
         InputError: this operator has no certificate that is valid.
     """
     if not fleet.is_secured:
-        return (order,)
+        return order
     name, now_ns = fleet.fleet.name, time.time_ns() + ahead_ns
-    folder = keys_folder(name)
-    found: list[bytes] = []
-    first: CredentialsError | IdentityError | None = None
-    for each in (folder, *earlier_folders(folder)):
-        try:
-            sealer = Sealer(usable(fleet, each, of_operator(name, operator_name()), ahead_ns / NS_PER_S))
-        except (CredentialsError, IdentityError) as error:
-            first = first or error
-        else:
-            found.append(sealer.seal(order, now_ns))
-    if first is not None and not found:
-        raise InputError(str(first)) from None
-    return tuple(found[:ORDERS_MAX])
+    try:
+        own = load(keys_folder(name), of_operator(name, operator_name()), now_ns / NS_PER_S)
+    except (CredentialsError, IdentityError) as error:
+        raise InputError(str(error)) from None
+    return Sealer(own).seal(order, now_ns)
 
 
-def order_opener(fleet: Fleet) -> Openers | None:
-    """Opens what a secured fleet's operators have sealed, now and under authorities of before; None where the
-    authority's certificate is not here.
+def order_opener(fleet: Fleet) -> Opener | None:
+    """Return what opens the orders of a secured fleet's operators; None without the authority's certificate.
 
     Raises:
-        InputError: one is here, and cannot be read.
+        InputError: the certificate is here, and cannot be read.
     """
     name = fleet.fleet.name
-    folder = keys_folder(name)
-    path = folder / AUTHORITY_CERTIFICATE
+    path = keys_folder(name) / AUTHORITY_CERTIFICATE
     try:
         if not private_files.exists(path):
             return None
-        found = []
-        for each in (path, *former_certificates(folder)):
-            path = each
-            authority = authority_from_pem(private_files.read(path))
-            found.append(Opener(name, fleet.network.operators, authority))
+        return Opener(name, fleet.network.operators, authority_from_pem(private_files.read(path)))
     except private_files.KeyFileError as error:
         raise InputError(str(error)) from None
     except CertificateError as error:
         raise InputError(f"{path}: {error}") from None
-    return Openers(found)
 
 
 def unsealed(fleet: Fleet, texts: Iterable[Any]) -> list[Stop | Resume]:

@@ -13,10 +13,10 @@ from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import Message
 from handfast.agent.messages.validation import Malformed
 from handfast.agent.runtime.clock import RealClock
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.faults.live import Receiver, receivers
 from handfast.deploy.inventory.running import NoAnswerError
-from handfast.deploy.session.joined_bus import JoinedPresence, OperatorBus
 from handfast.deploy.session.operator_bus import operator_bus
 
 CONNECT_S: Final = 3.0
@@ -57,9 +57,7 @@ class Session:
         handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
 
-    def __init__(
-        self, fleet: Fleet, bus: OperatorBus | None = None, is_wanted: Callable[[], bool] = always
-    ) -> None:
+    def __init__(self, fleet: Fleet, bus: Bus | None = None, is_wanted: Callable[[], bool] = always) -> None:
         self.fleet: Final = fleet
         self.receivers: Final = receivers(fleet)
         self.clock: Final = RealClock()
@@ -77,14 +75,6 @@ class Session:
 
     def close(self) -> None:
         self.bus.close()
-
-    @property
-    def with_authority_of_now(self) -> set[Receiver]:
-        """Those that are there and believe the authority of now: all but while one is being replaced."""
-        if not isinstance(self._presence, JoinedPresence):
-            return self.alive
-        found = map(key_expressions.robot_of_alive, self._presence.alive_now)
-        return {receiver for receiver in found if receiver is not None} & self.alive
 
     def now_ns(self) -> int:
         return self.clock.now_ns()

@@ -61,7 +61,7 @@ class FileWay:
         """See `deploy.session.stop.Way`."""
         self._found.clear()
         try:
-            write(self._folder / STOP_FILE, packed(sealed(self._fleet, encode(stop))), private=True)
+            write(self._folder / STOP_FILE, packed([sealed(self._fleet, encode(stop))]), private=True)
         except (KeyFileError, ValueError) as error:
             self.troubles = [f"not {WAY}: {error}"]
 

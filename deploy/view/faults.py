@@ -11,11 +11,11 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import AUTHOR_MAX, EVERY_AUTHOR, Faults, Message
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.drive.fleet_state import FleetState
 from handfast.deploy.faults.live import Held, LiveSet, Receiver, receivers
 from handfast.deploy.faults.live_rules import LiveRulesError, rule_of_options, text_of
 from handfast.deploy.session.fault_injection import ECHO_S, LEASE_NS, Putting, names
-from handfast.deploy.session.joined_bus import OperatorBus
 from handfast.deploy.view.orders import RefusedError
 
 FIELDS: Final = frozenset({"link", "robot", "loss", "delay", "for"})
@@ -30,7 +30,7 @@ class LiveFaults:
         healed_ns: when all rules were ended from here last.
     """
 
-    def __init__(self, state: FleetState, bus: OperatorBus) -> None:
+    def __init__(self, state: FleetState, bus: Bus) -> None:
         self.fleet: Final[Fleet] = state.fleet
         self.receivers: Final[Sequence[Receiver]] = receivers(state.fleet)
         self.held: Final = Held(state.fleet)

@@ -10,8 +10,8 @@ from contextlib import suppress
 from typing import Final
 
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.playback.page import served_policy
-from handfast.deploy.session.joined_bus import OperatorBus
 from handfast.deploy.session.stop import Way
 from handfast.deploy.view.controls import Controls
 from handfast.deploy.view.faults import FaultUnderWay, HealUnderWay, LiveFaults
@@ -44,7 +44,7 @@ class LiveServer:
     def __init__(
         self,
         fleet: Fleet,
-        bus: OperatorBus,
+        bus: Bus,
         ways: Callable[[], Sequence[Way]] | None,
         port: int = 0,
         *,
@@ -73,7 +73,7 @@ class LiveServer:
         # Behind the "#", where it is not sent to anybody, nor written into a log.
         self.address: Final = f"{self._server.address}#token={token}"
 
-    def _controls(self, bus: OperatorBus, ways: Callable[[], Sequence[Way]], source: str | None) -> Controls:
+    def _controls(self, bus: Bus, ways: Callable[[], Sequence[Way]], source: str | None) -> Controls:
         live = self.live
         state, fleet = live.fleet_state, live.fleet
         faults = LiveFaults(state, bus)

@@ -7,12 +7,13 @@ import re
 import struct
 from collections.abc import Callable, Sequence
 from math import nan
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Message
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.drive.attached import Attached
 from handfast.deploy.drive.fleet_state import FleetState
 from handfast.deploy.drive.preconditions import clock, why
@@ -21,7 +22,6 @@ from handfast.deploy.playback.looks import SILENT
 from handfast.deploy.playback.marks import FAULT, VIOLATION, Mark
 from handfast.deploy.playback.scene import ground
 from handfast.deploy.playback.track import COLUMNS
-from handfast.deploy.session.joined_bus import OperatorBus
 from handfast.deploy.session.session import valid
 from handfast.deploy.view.history import History
 from handfast.deploy.view.motion import Motion
@@ -57,12 +57,12 @@ class LiveFleet:
     `listeners` are told of everything that comes: time of reception (ns), key, message.
     """
 
-    def __init__(self, fleet: Fleet, bus: OperatorBus) -> None:
+    def __init__(self, fleet: Fleet, bus: Bus) -> None:
         self.fleet: Final = fleet
         self.listeners: Final[list[Callable[[int, str, Message], None]]] = []
         self._bus, self._hears_hands = bus, fleet.is_routed
         self.fleet_state: Final = FleetState(
-            fleet, _NewestBodies(bus), Attached(fleet), self._take, _heard_of(fleet)
+            fleet, cast("Bus", _NewestBodies(bus)), Attached(fleet), self._take, _heard_of(fleet)
         )
         self.watch: Final = self.fleet_state.watch
         self.motion: Final = Motion(fleet, self.watch)
@@ -280,7 +280,7 @@ class _NewestBodies:
     """A bus of whose bodies only the newest states are drained: they say all that is shown, and are read last
     and often."""
 
-    def __init__(self, bus: OperatorBus) -> None:
+    def __init__(self, bus: Bus) -> None:
         self._bus = bus
 
     def __getattr__(self, name: str) -> Any:

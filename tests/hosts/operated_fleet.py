@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from handfast.deploy.console.passphrase import PASSPHRASE
 from handfast.deploy.inventory.operator_credentials import KEYS, OPERATOR
 from tests.hosts.fleet_on_hosts import FleetOnHosts
 from tests.hosts.hosts import Hosts
@@ -54,7 +53,7 @@ class Operated(FleetOnHosts):
         return [*right[:module], *clock, *right[module + 1 :]]
 
     def environment(self) -> dict[str, str]:
-        own = {KEYS: str(self.keys), OPERATOR: self.who, PASSPHRASE: "correct horse battery"}
+        own = {KEYS: str(self.keys), OPERATOR: self.who}
         own["XDG_STATE_HOME"] = str(self.folder / f"{self.keys.name}-state")
         return super().environment() | own
 

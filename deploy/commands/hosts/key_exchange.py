@@ -1,10 +1,8 @@
-"""What `handfast keys` passes between the authority's computer and others: operators' requests, certificates,
-a backup of the authority. Each function carries out one option."""
+"""What `handfast keys` passes between the authority's computer and another operator's."""
 
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from handfast.agent.fleet.model import Fleet
@@ -12,9 +10,7 @@ from handfast.agent.security import private_files
 from handfast.agent.security.credentials import authority_of
 from handfast.agent.security.identity import of_operator
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.console.passphrase import passphrase
 from handfast.deploy.inventory import operator_requests
-from handfast.deploy.inventory.authority_backup import BACKUP_BYTES_MAX, packed, unpack
 from handfast.deploy.inventory.certificate_authority import Authority
 from handfast.deploy.inventory.certificate_requests import REQUEST_BYTES_MAX
 from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, OPERATOR, operator_name, short
@@ -73,27 +69,3 @@ def install(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: floa
     )
     if who.name != operator_name():
         print(f"commands are given as {who.name} with {OPERATOR}={who.name} in the environment")
-
-
-def backup(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
-    """Writes a backup of the authority."""
-    out = Path(options.backup).expanduser()
-    if os.path.lexists(out):
-        raise InputError(f"{out} is there already: a backup takes the place of none; name a new file")
-    with existing(options, fleet, folder, now_s) as authority:
-        secret = passphrase(f"the backup of {fleet.fleet.name}'s authority", new=True)
-        private_files.write(out, packed(folder, fleet.fleet.name, secret), private=True)
-        print(
-            f"wrote {out}: the authority {short(authority.fingerprint)}, generation {authority.generation}; "
-            "keep it apart from its passphrase, and from this computer"
-        )
-
-
-def restore(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
-    """Brings the authority back from a backup."""
-    data = _read(options.restore, BACKUP_BYTES_MAX)
-    if len(data) > BACKUP_BYTES_MAX:
-        raise InputError(f"{options.restore} is too large for a backup (over {BACKUP_BYTES_MAX} bytes)")
-    secret = passphrase(f"the backup {options.restore}", new=False)
-    found = unpack(folder, fleet.fleet.name, data, secret)
-    print(f"restored the authority {short(found)} of {fleet.fleet.name} into {folder}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -31,10 +31,9 @@ from handfast.agent.security.identity import (
     of_operator,
     of_robot,
     of_router,
-    parse,
 )
 from handfast.agent.security.private_files import KeyFileError, exists
-from handfast.deploy.commands.hosts.key_exchange import backup, existing, install, request, restore, sign
+from handfast.deploy.commands.hosts.key_exchange import existing, install, request, sign
 from handfast.deploy.console.arguments import (
     InputError,
     describe,
@@ -42,21 +41,25 @@ from handfast.deploy.console.arguments import (
     load_unresolved,
     place_for,
 )
-from handfast.deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
+from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError, Issued
 from handfast.deploy.inventory.certificate_requests import RequestError
 from handfast.deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
     KEYS,
     OPERATOR,
-    drop_earlier,
-    earlier_folders,
     keys_folder,
     operator_name,
     short,
 )
 
-NEW_AUTHORITY: Final = "every certificate of before is void; who has no new one yet is shut out"
-KEPT: Final = "that of before is kept in {}, so that `handfast stop` reaches all, until `handfast up` has too"
+KEEP: Final = (
+    "keep a copy of that folder in a safe place; if the fleet has an authority on another computer, remove "
+    "the folder, and --request"
+)
+REVOKED: Final = (
+    "All previous certificates are revoked. `handfast up` gives new ones to robots on hosts; make the others "
+    "again with `handfast keys` (--list shows them)."
+)
 LAST_DAYS: Final = 365
 """An authority that is about to end is warned of for so long: no certificate outlives it."""
 
@@ -99,15 +102,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--renew", action="store_true", help="new certificates also where they are still good"
     )
     parser.add_argument(
-        "--replace-authority",
+        "--new-authority",
         action="store_true",
-        help="shut out whoever has a certificate now: a new authority, and new certificates for all; the "
-        "fleet must be at rest",
+        help="replace the authority, which revokes every certificate; `handfast down` first",
     )
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace the authority whatever robots do, and whether they can be asked or not",
+        help="with --new-authority: though the fleet is up, as where a robot is lost or stolen",
     )
     alone = parser.add_argument_group("instead of that")
     alone.add_argument("--list", action="store_true", help="only show what there is")
@@ -122,15 +124,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sign the request of another operator (--out FILE)",
     )
     alone.add_argument("--install", metavar="FILE", help="take what --sign wrote, for the key of --request")
-    alone.add_argument(
-        "--backup", metavar="FILE", help="write the authority to a new file, under a passphrase"
-    )
-    alone.add_argument("--restore", metavar="FILE", help="bring the authority back from such a file")
-    alone.add_argument(
-        "--drop-earlier",
-        action="store_true",
-        help="forget authorities of before: robots that still have one are given up; not while they drive",
-    )
     parser.set_defaults(command=_keys)
 
 
@@ -153,22 +146,8 @@ def _given(options: argparse.Namespace, option: str) -> bool:
 
 
 def _check(options: argparse.Namespace, fleet: Fleet) -> None:
-    alone = [option for option in ALONE if _given(options, option)]
-    others = [
-        option for option in ("renew", "replace_authority", "router", "robot") if _given(options, option)
-    ]
-    if alone and len(alone) + len(others) > 1:
-        rest = ", ".join(f"--{each.replace('_', '-')}" for each in [*alone, *others][1:])
-        raise InputError(f"--{alone[0].replace('_', '-')} goes alone: leave out {rest}")
-    if options.force and not (options.replace_authority or options.drop_earlier):
-        raise InputError("--force belongs to --replace-authority or --drop-earlier")
-    if options.request and options.out is None:
-        raise InputError("--request needs --out FILE, which is carried to where the authority is")
-    to_file = options.request or options.sign is not None
-    if (options.robot is not None) != (options.out is not None) and options.router is None and not to_file:
-        raise InputError("--robot and --out DIR belong together: key and certificate are made in DIR")
-    if options.robot is not None and options.router is not None:
-        raise InputError("--robot or --router, not both")
+    """Raises `InputError` where options do not go together, or name what the fleet does not have."""
+    _check_together(options)
     if options.robot is not None and options.robot not in fleet.ids:
         raise InputError(f"there is no robot {options.robot} in {fleet.fleet.name}")
     of_operator(fleet.fleet.name, options.operator)
@@ -177,16 +156,39 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
             f"robots of {fleet.fleet.name} take no orders of {options.operator}: network.operators are "
             f"{', '.join(fleet.network.operators)}"
         )
-    if options.router is not None:
-        of_router(fleet.fleet.name, options.router)
     addresses(options.addresses)
-    if options.addresses and options.robot is None and options.router is None:
-        raise InputError("--address is that of a robot or a router: give --robot or --router, too")
     if options.router is not None and not (options.addresses or _elsewhere(fleet)):
         raise InputError(
             "--router needs --address, at which robots reach it, or HOST:PORT in network.routers (those on "
             "hosts get theirs from `handfast up`)"
         )
+
+
+def _check_together(options: argparse.Namespace) -> None:
+    alone, *others = [each for each in (*ALONE, *OTHERS) if _given(options, each)] or ("",)
+    if alone in ALONE and others:
+        rest = ", ".join(f"--{each.replace('_', '-')}" for each in others)
+        raise InputError(f"--{alone} goes alone: leave out {rest}")
+    to_carry, has_robot = options.out is not None, options.robot is not None
+    has_router = options.router is not None
+    for is_wrong, why in (
+        (options.force and not options.new_authority, "--force belongs to --new-authority"),
+        (has_robot and has_router, "--robot or --router, not both"),
+        (
+            options.request and not to_carry,
+            "--request needs --out FILE, which is carried to where the authority is",
+        ),
+        (
+            has_robot != to_carry and not has_router and alone not in ("request", "sign"),
+            "--robot and --out DIR belong together: key and certificate are made in DIR",
+        ),
+        (
+            options.addresses and not (has_robot or has_router),
+            "--address is that of a robot or a router: give --robot or --router, too",
+        ),
+    ):
+        if is_wrong:
+            raise InputError(why)
 
 
 # ---------------------------------------------------------------------- what goes alone
@@ -200,32 +202,9 @@ def _list(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float)
         _show(authority, now_s)
 
 
-def _restore(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
-    restore(options, fleet, folder, now_s)
-    options.restore = None
-    _provide_all(options, fleet, folder, now_s)
-
-
-def _drop(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
-    gone = [path.name for path in earlier_folders(folder)]
-    if gone and not options.force:
-        # No stop would reach those that have it still.
-        _refuse_on_mission(options, fleet, "nothing was forgotten")
-    drop_earlier(folder)
-    print(f"forgotten: {', '.join(gone)}" if gone else "there is no authority of before")
-
-
-OTHERS: Final = ("renew", "replace_authority", "router", "robot")
+OTHERS: Final = ("renew", "new_authority", "router", "robot")
 Alone = Callable[[argparse.Namespace, Fleet, Path, float], None]
-ALONE: Final[Mapping[str, Alone]] = {
-    "list": _list,
-    "request": request,
-    "sign": sign,
-    "install": install,
-    "backup": backup,
-    "restore": _restore,
-    "drop_earlier": _drop,
-}
+ALONE: Final[Mapping[str, Alone]] = {"list": _list, "request": request, "sign": sign, "install": install}
 """What is done instead of providing certificates, by the option that says so."""
 
 
@@ -233,36 +212,31 @@ ALONE: Final[Mapping[str, Alone]] = {
 
 
 def _provide_all(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
-    if options.replace_authority and not options.force and fleet.is_secured and authority_of(folder):
-        _refuse_on_mission(options, fleet, "the authority was not replaced")
-    instead = options.replace_authority
-    with Authority(folder, fleet.fleet.name, fleet.ids, now_s, instead=instead) as authority:
+    if options.new_authority and not options.force:
+        _refuse_while_up(fleet)
+    with Authority(folder, fleet.fleet.name, fleet.ids, now_s, new=options.new_authority) as authority:
         _make(options, fleet, authority, now_s)
         _show(authority, now_s)
 
 
-def _refuse_on_mission(options: argparse.Namespace, fleet: Fleet, what: str) -> None:
-    """Raises `InputError`, which begins with `what`, unless the fleet is known to be at rest."""
-    from handfast.agent.formation.geometry import resolved
-    from handfast.deploy.hosts.at_rest import rest_of
+def _refuse_while_up(fleet: Fleet) -> None:
+    """Raises `InputError` where this operator has brought the fleet up: no order would reach its robots."""
+    from handfast.deploy.inventory.fleets_up import fleets_up
 
-    why = rest_of(resolved(fleet), options.fleet).refusal()
-    if why:
-        raise InputError(f"{what}: {why}")
+    for each in fleets_up()[0]:
+        if each.name == fleet.fleet.name:
+            raise InputError(
+                f"{each}: its robots would take no order under another authority. `handfast down` first (or "
+                "--force, where a host is lost)"
+            )
 
 
 def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s: float) -> None:
     name = fleet.fleet.name
     if authority.created:
-        print(
-            f"made the authority of {name} in {authority.folder}: keep a copy where nobody else has it "
-            "(--backup); if the fleet has one on another computer, remove this one, and --request"
-        )
-    elif options.replace_authority:
-        authority.replace(now_s)
-        print(f"made authority {authority.generation} of {name}: {NEW_AUTHORITY}")
-    if options.replace_authority and (kept := earlier_folders(authority.folder)):
-        print(KEPT.format(kept[0].parent))
+        print(f"made authority {authority.generation} of {name} in {authority.folder}: {KEEP}")
+    if options.new_authority:
+        print(REVOKED)
     _provide(authority, authority.folder, of_operator(name, options.operator), [], options.renew, now_s)
     if options.robot is not None:
         where = options.addresses or [address_of(fleet, options.robot)]
@@ -272,39 +246,11 @@ def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s
         out = Path(options.out).expanduser() if options.out is not None else authority.folder
         where = options.addresses or _elsewhere(fleet)
         _provide(authority, out, of_router(name, options.router), where, options.renew, now_s)
-    if options.replace_authority:
-        for line in _void(options.fleet, fleet, authority):
-            print(line)
 
 
 def _elsewhere(fleet: Fleet) -> list[str]:
     """Addresses of the routers that are on none of the fleet's hosts."""
     return [router.where.rpartition(":")[0] for router in fleet.routers if router.host is None]
-
-
-def _void(file: str, fleet: Fleet, authority: Authority) -> Iterator[str]:
-    """Who had a certificate and has none of this authority, each with the command that makes one."""
-    by_up: dict[str, list[str]] = {"robot": [], "router": []}
-    routers = [router.identity_name for router in fleet.routers]
-    for name, entry in sorted(_latest(authority).items(), key=lambda item: _order(item[0])):
-        who = parse(name)
-        if entry.generation == authority.generation:
-            continue
-        reached = "".join(f" --address {each}" for each in entry.addresses if each not in LOOPBACK)
-        if who.role == "operator" and who.name in fleet.network.operators:
-            yield f"void: {who}; `handfast keys {file} --operator {who.name}`, or --request where it is"
-        elif who.role == "router" and who.name == MAIN:
-            yield f"void: {who}; `handfast keys {file} --router{reached}`, with --out DIR to carry it"
-        elif who.role == "router":
-            by_up["router"] += [who.name] if who.name in routers else []
-        elif who.robot in fleet.ids:
-            if fleet.host_of(who.robot) is not None:
-                by_up["robot"].append(who.name)
-            else:
-                yield f"void: {who}; `handfast keys {file} --robot {who.name}{reached} --out DIR`"
-    for role, names in by_up.items():
-        if names:
-            yield f"void: {role}{'s' if len(names) > 1 else ''} {', '.join(names)}; `handfast up {file}`"
 
 
 def _latest(authority: Authority) -> dict[str, Issued]:
@@ -381,7 +327,7 @@ def _ending(days: float) -> str:
     if days >= LAST_DAYS:
         return ""
     when = f"ends in {int(days)} days, and all certificates with it" if days > 0 else "expired"
-    return f"{when}: --replace-authority, with the fleet at rest"
+    return f"{when}: --new-authority, after `handfast down`"
 
 
 def state(entry: Issued, authority: Authority, now_s: float) -> str:

@@ -46,11 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="take the key of a host that this machine has never met for its own",
     )
     parser.add_argument(
-        "--take-over",
-        action="store_true",
-        help="give robots that have another authority certificates of this machine's: theirs is lost",
-    )
-    parser.add_argument(
         "--no-check", dest="check", action="store_false", help="go on even where `check` finds errors"
     )
     parser.set_defaults(command=handled(_up), quiet=False, **no_changes())
@@ -63,7 +58,6 @@ def _up(options: argparse.Namespace) -> int:
     from handfast.deploy.hosts.view import make_hosts_view
     from handfast.deploy.inventory.expiry import operators, warnings
     from handfast.deploy.inventory.hosts import hosts_of, located, refuse_simulated
-    from handfast.deploy.inventory.operator_credentials import drop_earlier, keys_folder
 
     fleet = load(options)
     interrupt = Interrupt()
@@ -86,8 +80,6 @@ def _up(options: argparse.Namespace) -> int:
             view = stack.enter_context(make_hosts_view())
             work.warnings += warnings(operators(fleet, options.fleet), time.time())
             work.run(view, interrupt)
-            if work.has_authority_of_now:
-                drop_earlier(keys_folder(fleet.fleet.name))
         notes.up([row.host for row in work.rows.values() if row.state == HOST_DONE], complete=True)
         work.warnings += notes.problems
     return _say(work, interrupt)
@@ -134,9 +126,7 @@ def _keys(fleet: Fleet, options: argparse.Namespace) -> Iterator[HostKeys]:
         if exists(folder / AUTHORITY_FILE):
             with Authority(folder, name, fleet.ids, time.time()) as authority:
                 own = authority.certificate_pem
-                yield HostKeys(fleet, authority, own, what, take_over=options.take_over)
-        elif options.take_over:
-            raise InputError(f"--take-over needs an authority in {folder}: `handfast keys {what}` makes it")
+                yield HostKeys(fleet, authority, own, what)
         elif exists(folder / AUTHORITY_CERTIFICATE):
             yield HostKeys(fleet, None, read(folder / AUTHORITY_CERTIFICATE), what)
         else:

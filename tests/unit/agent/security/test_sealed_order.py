@@ -22,7 +22,6 @@ from handfast.agent.security.sealed_order import (
     VERSION,
     Forged,
     Opener,
-    Openers,
     Order,
     Sealer,
 )
@@ -107,20 +106,6 @@ def test_another_authority(tmp_path: Path, opener: Opener) -> None:
 def test_an_operator_of_another_fleet(by: Authority, tmp_path: Path, ann: Credentials) -> None:
     opener = Opener("another", OPERATORS, ann.authority)
     assert reason(opener, Sealer(ann).seal(PAYLOAD, NOW_NS)) == "not_an_operator"
-
-
-def test_an_authority_that_was_replaced(by: Authority, ann: Credentials, tmp_path: Path) -> None:
-    by.replace(NOW_S)
-    new = credentials(by, tmp_path / "bob", of_operator(FLEET, "bob"))
-    opener = Opener(FLEET, OPERATORS, new.authority)
-    assert reason(opener, Sealer(ann).seal(PAYLOAD, NOW_NS)) == "unknown_authority"
-    assert opener.open(Sealer(new).seal(PAYLOAD, NOW_NS), NOW_S) == Order(NOW_NS, PAYLOAD)
-    # What was recorded under the one before is an operator's all the same.
-    both = Openers([opener, Opener(FLEET, OPERATORS, ann.authority)])
-    for sealer in (Sealer(ann), Sealer(new)):
-        assert both.open_recorded(sealer.seal(PAYLOAD, NOW_NS)) == Order(NOW_NS, PAYLOAD)
-    with pytest.raises(Forged, match="malformed"):
-        both.open_recorded(b"nonsense")
 
 
 def test_an_operator_who_is_none_any_more(ann: Credentials) -> None:

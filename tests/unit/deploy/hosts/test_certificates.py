@@ -94,16 +94,18 @@ def other_authority(tmp_path: Path, robots: Path) -> str:
         return other.fingerprint
 
 
-def looked(keys: HostKeys, robots: Path, host: HostSection) -> None:
-    """Has `keys` look at a host whose robots' keys are in a folder."""
+def looked(keys: HostKeys, robots: Path, host: HostSection, *, runs: bool = True) -> str:
+    """Has `keys` look at a host whose robots' keys are in a folder, and of which one runs or not."""
 
     class Looked:
         def __init__(self) -> None:
             self.host = host
 
-        def ask(self, what: str, *, folder: str, pattern: str, most: int) -> dict[str, tuple[int, float]]:
-            assert (what, folder) == ("listing", "fleets/delta/keys")
-            return {path.name: (1, 1.0) for path in robots.glob(pattern)}
+        def ask(self, what: str, **asked: Any) -> Any:
+            if what == "status":
+                return {"units": {"a": {"ActiveState": "active" if runs else "failed"}}}
+            assert (what, asked["folder"]) == ("listing", "fleets/delta/keys")
+            return {path.name: (1, 1.0) for path in robots.glob(asked["pattern"])}
 
         def exchange(
             self, what: str, blob: None, *, data_bytes: int, path: str, most: int
@@ -111,7 +113,7 @@ def looked(keys: HostKeys, robots: Path, host: HostSection) -> None:
             assert (what, path) == ("get", "fleets/delta/keys/ca.crt")
             return None, (robots / "ca.crt").read_bytes()[:most]
 
-    keys.look(Looked())  # type: ignore[arg-type]
+    return keys.look(Looked())  # type: ignore[arg-type]
 
 
 def test_robots_of_another_authority_are_refused_and_what_to_do_is_said(
@@ -124,39 +126,26 @@ def test_robots_of_another_authority_are_refused_and_what_to_do_is_said(
     own = authority_of(tmp_path / "authority")
     assert str(caught.value) == (
         f"left as it was: its robots have another authority, {other[:16]}; this machine's is {own[:16]}. Ask "
-        "for a certificate of theirs (`handfast keys f.toml --request`), or, where theirs is lost for good, "
-        "replace it (`handfast up f.toml --take-over`)"
+        "for a certificate of theirs (`handfast keys f.toml --request`), or, where theirs was replaced or is "
+        "lost, `handfast down f.toml` first"
     )
 
 
-def test_they_are_taken_over_where_that_is_asked(there: There, tmp_path: Path) -> None:
+def test_where_nothing_of_the_fleet_runs_they_get_certificates_of_this_one(
+    there: There, tmp_path: Path
+) -> None:
     robots, whole = tmp_path / "keys", located()
-    other_authority(tmp_path, robots)
+    other = other_authority(tmp_path, robots)
     with Authority(tmp_path / "authority", whole.fleet.name, whole.ids, time.time()) as by:
-        assert HostKeys(whole, by, by.certificate_pem, "f.toml").is_first
-        keys = HostKeys(whole, by, by.certificate_pem, "f.toml", take_over=True)
-        looked(keys, robots, there.host)
-        assert keys.replaces("rover1")
-        assert not keys.is_first
+        keys = HostKeys(whole, by, by.certificate_pem, "f.toml")
+        assert keys.is_first
+        assert looked(keys, robots, there.host, runs=False) == other
         keys(there, "1-aa", str(robots))  # type: ignore[arg-type]
-        looked(keys, robots, there.host)
-        assert not keys.replaces("rover1")
+        assert not keys.is_first
+        assert looked(keys, robots, there.host) == ""
         assert {load(robots, of_robot("delta", n), time.time()).authority_fingerprint for n in (1, 3, 5)} == {
             by.fingerprint
         }
-
-
-def test_those_of_an_authority_that_this_one_has_replaced_get_new_ones(there: There, tmp_path: Path) -> None:
-    robots, whole = tmp_path / "keys", located()
-    with Authority(tmp_path / "authority", whole.fleet.name, whole.ids, time.time()) as by:
-        HostKeys(whole, by, by.certificate_pem, "f.toml")(there, "1-aa", str(robots))  # type: ignore[arg-type]
-        by.replace(time.time())
-        by.replace(time.time())
-        keys = HostKeys(whole, by, by.certificate_pem, "f.toml")
-        looked(keys, robots, there.host)
-        assert keys.replaces("rover1")
-        keys(there, "1-aa", str(robots))  # type: ignore[arg-type]
-        assert load(robots, of_robot("delta", 1), time.time()).authority_fingerprint == by.fingerprint
 
 
 def test_hosts_without_an_authority_or_with_a_damaged_one_are_fine(
@@ -167,8 +156,7 @@ def test_hosts_without_an_authority_or_with_a_damaged_one_are_fine(
     assert keys.is_first
     robots.mkdir()
     (robots / "ca.crt").write_text("half")
-    looked(keys, robots, there.host)
-    assert not keys.replaces("rover1")
+    assert looked(keys, robots, there.host) == ""
 
 
 def test_an_operator_without_the_authority_leaves_robots_be_that_need_nothing(
@@ -185,8 +173,7 @@ def test_an_operator_without_the_authority_leaves_robots_be_that_need_nothing(
         (robots / "delta.robot.3.crt").unlink()
         with pytest.raises(HostError, match=r"robot 3 needs a certificate \(it has none yet\), and the auth"):
             annas(there, "1-aa", str(robots))  # type: ignore[arg-type]
-        by.replace(time.time())
-        keys = HostKeys(whole, by, by.certificate_pem, "f.toml")
-        keys(there, "1-aa", str(robots))  # type: ignore[arg-type]
+    with Authority(tmp_path / "authority", whole.fleet.name, whole.ids, time.time(), new=True) as by:
+        HostKeys(whole, by, by.certificate_pem, "f.toml")(there, "1-aa", str(robots))  # type: ignore[arg-type]
     with pytest.raises(AnotherAuthorityError, match="left as it was: its robots have another authority"):
-        looked(annas, robots, there.host)
+        looked(annas, robots, there.host, runs=False)

@@ -248,21 +248,18 @@ class Keys:
 
     Args:
         ruled: hosts whose robots have another authority.
-        earlier: hosts whose robots have one that was replaced.
         is_first: whether this machine's has given none a certificate yet.
     """
 
-    def __init__(self, ruled: Sequence[str] = (), earlier: Sequence[str] = (), *, is_first: bool) -> None:
-        self.ruled, self.earlier, self.is_first = ruled, earlier, is_first
+    def __init__(self, ruled: Sequence[str] = (), *, is_first: bool) -> None:
+        self.ruled, self.is_first = ruled, is_first
         self.looked: list[str] = []
 
-    def look(self, connection: There) -> None:
+    def look(self, connection: There) -> str:
         self.looked.append(connection.host.name)
         if connection.host.name in self.ruled:
             raise AnotherAuthorityError("another one")
-
-    def replaces(self, host: str) -> bool:
-        return host in self.earlier
+        return ""
 
 
 def bring(
@@ -416,7 +413,6 @@ def test_where_another_authority_rules_nothing_changes(world: World) -> None:
     assert ends(work)["rover2"] == (FAILED, "another one")
     assert ends(work)["rover1"] == (DONE, "up, robot 1 started")
     assert world.restarted == [[1]]
-    assert work.has_authority_of_now, "all are heard, with the one that this session has"
 
 
 def test_an_authority_that_rules_nobody_yet_asks_all_hosts_before_it_begins(world: World) -> None:
@@ -447,32 +443,6 @@ def test_a_host_that_cannot_be_asked_keeps_the_others_not_for_good(
     world.everybody("ready")
     work = bring(world, keys=Keys(is_first=True))
     assert ends(work) == {"rover1": (DONE, "up, nothing to do"), "rover2": (FAILED, "it does not answer")}
-
-
-def test_while_they_drive_no_authority_is_replaced(world: World) -> None:
-    """Robots that start again would hear none of the others any more."""
-    world.everybody("running")
-    world.stale = {1, 3, 5}
-    work = bring(world, keys=Keys(earlier=["rover1"], is_first=False))
-    state, step = ends(work)["rover1"]
-    assert (state, step.partition(":")[0]) == (FAILED, "left as it was")
-    assert "robots of two authorities. `handfast stop` first" in step
-    assert world.restarted == []
-
-
-def test_who_drives_by_an_authority_that_is_lost_is_not_taken_over(world: World) -> None:
-    world.says = {3: "running"}
-    work = bring(world, keys=Keys(earlier=["rover1"], is_first=False))
-    assert ends(work)["rover1"] == (
-        FAILED,
-        "left as it was: robot 3 drives, by another authority: `handfast down` first",
-    )
-
-
-def test_robots_that_are_not_there_may_have_the_authority_of_before(world: World) -> None:
-    world.everybody("ready")
-    world.go(4)
-    assert not bring(world, timing=replace(QUICK, present_s=0.3)).has_authority_of_now
 
 
 def test_without_having_listened_nothing_is_touched(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from handfast.agent.security.identity import of_operator, of_robot, of_router
 from handfast.deploy.inventory import certificate_authority as module
 from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError
 from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
-from handfast.deploy.inventory.operator_credentials import keys_folder
+from handfast.deploy.inventory.operator_credentials import KEYS, OPERATOR, keys_folder, operator_name
 from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 DAY_S = 86_400
@@ -126,11 +126,11 @@ def test_nothing_of_a_request_is_taken_over_but_the_key(tmp_path: Path) -> None:
     assert names.get_values_for_type(x509.DNSName) == ["localhost"]
 
 
-def test_replaced(tmp_path: Path) -> None:
+def test_a_new_authority_takes_the_place_of_the_one_before(tmp_path: Path) -> None:
     with authority(tmp_path / "a") as by:
         before = credentials(by, tmp_path / "r", ME)
-        by.replace(NOW_S)
-        assert by.generation == 2
+    with authority(tmp_path / "a", new=True) as by:
+        assert (by.generation, by.created) == (2, True)
         assert by.fingerprint != before.authority_fingerprint
         after = credentials(by, tmp_path / "r", ME)
         assert after.authority_fingerprint == by.fingerprint
@@ -140,24 +140,17 @@ def test_replaced(tmp_path: Path) -> None:
     (tmp_path / "a" / "authority.pem").unlink()
     with pytest.raises(AuthorityError, match=f"of the authority {again.fingerprint[:16]}, which is not here"):
         authority(tmp_path / "a")
-    with Authority(tmp_path / "a", FLEET, ROBOTS, NOW_S, instead=True) as third:  # a name is never used twice
+    with authority(tmp_path / "a", new=True) as third:  # a name is never used twice
         assert (third.generation, third.created) == (3, True)
-        assert not third.has_been(again.fingerprint), "it may be somebody else's, whose robots are not ours"
 
 
-def test_it_knows_what_it_was(tmp_path: Path) -> None:
+def test_it_knows_whether_a_robot_has_a_certificate_of_it(tmp_path: Path) -> None:
     with authority(tmp_path / "a") as by:
-        before = by.fingerprint
-        assert not by.has_robots
         by.sign(of_operator(FLEET), make_request(tmp_path / "o", of_operator(FLEET)), (), NOW_S)
         assert not by.has_robots
         credentials(by, tmp_path / "r", ME)
-        by.replace(NOW_S)
-    with authority(tmp_path / "a") as again, authority(tmp_path / "b") as other:
+    with authority(tmp_path / "a", new=True) as again:
         assert again.has_robots
-        assert again.has_been(before)
-        assert again.has_been(again.fingerprint)
-        assert not again.has_been(other.fingerprint)
 
 
 def test_where_a_request_waits_none_is_made(tmp_path: Path) -> None:
@@ -173,11 +166,11 @@ def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
         found = credentials(by, tmp_path / "r", ME, now_s=late_s)
         assert found.certificate.days_left(late_s) == 100
     end_s = NOW_S + AUTHORITY_DAYS * DAY_S
-    with authority(tmp_path, end_s) as by:  # it can be looked at, and replaced
+    with authority(tmp_path, end_s) as by:  # it can still be looked at
         request = make_request(tmp_path / "r", ME)
-        with pytest.raises(AuthorityError, match="has expired: `handfast keys guarded --replace-authority`"):
+        with pytest.raises(AuthorityError, match="has expired: `handfast keys guarded --new-authority`"):
             by.sign(ME, request, (), end_s)
-        by.replace(end_s)
+    with authority(tmp_path, end_s, new=True) as by:
         by.sign(ME, request, (), end_s)
 
 
@@ -253,12 +246,19 @@ def test_closed(tmp_path: Path) -> None:
         by.sign(ME, request, (), NOW_S)
 
 
-def test_where_keys_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_environment_says_where_keys_are_and_who_gives_orders(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv(KEYS, raising=False)
+    monkeypatch.delenv(OPERATOR, raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    assert keys_folder("delta") == tmp_path / "handfast" / "keys" / "delta"
+    assert (keys_folder("delta"), operator_name()) == (tmp_path / "handfast/keys/delta", "main")
     monkeypatch.setenv("XDG_CONFIG_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert keys_folder("delta") == tmp_path / "home" / ".config" / "handfast" / "keys" / "delta"
+    monkeypatch.setenv(KEYS, str(tmp_path / "mine"))
+    monkeypatch.setenv(OPERATOR, "anna")
+    assert (keys_folder("delta"), operator_name()) == (tmp_path / "mine", "anna")
 
 
 def test_a_power_cut_between_files(tmp_path: Path) -> None:
@@ -266,7 +266,7 @@ def test_a_power_cut_between_files(tmp_path: Path) -> None:
     with authority(tmp_path) as by:
         credentials(by, tmp_path, of_operator(FLEET))
         old = (tmp_path / "ca.crt").read_bytes()
-        by.replace(NOW_S)
+    authority(tmp_path, new=True).close()
     (tmp_path / "ca.crt").write_bytes(old)
     load(tmp_path, of_operator(FLEET), NOW_S)
     with authority(tmp_path) as by:

@@ -10,7 +10,6 @@ from handfast.agent.security.credentials import CredentialsError, load
 from handfast.agent.security.identity import Identity, of_operator, of_robot
 from handfast.deploy.inventory.certificate_authority import Authority
 from handfast.deploy.inventory.certificate_requests import RequestError
-from handfast.deploy.inventory.operator_credentials import earlier_folders
 from handfast.deploy.inventory.operator_requests import SIGNED_BYTES_MAX, install, request, requested_by
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
@@ -34,16 +33,6 @@ def test_asked_signed_installed(tmp_path: Path) -> None:
     assert load(there, ANNA, NOW_S).certificate == found.certificate
     assert {path.stat().st_mode & 0o077 for path in there.glob("*.key")} == {0}
     assert not (there / "authority.pem").exists()
-
-
-def test_of_another_authority_what_was_in_use_is_kept(tmp_path: Path) -> None:
-    there = tmp_path / "anna"
-    with authority(tmp_path / "main") as by:
-        before = install(there, signs(by, request(there, ANNA)), FLEET, OPERATORS, NOW_S)
-        by.replace(NOW_S)
-        install(there, signs(by, request(there, ANNA)), FLEET, OPERATORS, NOW_S)
-    (kept,) = earlier_folders(there)
-    assert load(kept, ANNA, NOW_S).certificate == before.certificate
 
 
 def test_where_the_authority_is_nobody_need_be_asked(tmp_path: Path) -> None:
@@ -98,7 +87,6 @@ def test_a_certificate_that_is_not_installed(tmp_path: Path) -> None:
         with pytest.raises(RequestError, match=r"is one for the operator anna; network.operators"):
             install(there, signs(by, asked), FLEET, ("main",), NOW_S)
     assert load(there, ANNA, NOW_S).certificate == good.certificate
-    assert earlier_folders(there) == []
 
 
 def test_who_has_made_a_second_authority_is_told_to_put_it_away(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ FLEET = square()
 
 
 def test_of_a_fleet_that_is_not_secured_as_it_is() -> None:
-    assert sealed(FLEET, b"order") == (b"order",)
+    assert sealed(FLEET, b"order") == b"order"
 
 
 def test_without_a_key_it_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

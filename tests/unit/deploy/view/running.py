@@ -13,7 +13,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.sequence_numbers import FIRST_ROUND
 from handfast.agent.messages.types import HandState, Message, Mission, NeighbourStatus, PlantState, Status
-from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.view.live_fleet import LiveFleet
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
@@ -26,7 +26,7 @@ FRAME = S // 20
 
 
 class HeldBus:
-    """A bus that gives what a test puts on it, and keeps what is said, an `OperatorBus`."""
+    """A bus that gives what a test puts on it, and keeps what is said, an `Bus`."""
 
     def __init__(self) -> None:
         self.said: list[tuple[str, Message]] = []
@@ -89,9 +89,7 @@ class Clock:
 class Running:
     """`FLEET` as it runs, and a `LiveFleet` that sees it, made by `make`. A context manager."""
 
-    def __init__(
-        self, fleet: Fleet = FLEET, make: Callable[[Fleet, OperatorBus], LiveFleet] = LiveFleet
-    ) -> None:
+    def __init__(self, fleet: Fleet = FLEET, make: Callable[[Fleet, Bus], LiveFleet] = LiveFleet) -> None:
         self.fleet, self.bus, self.clock = fleet, HeldBus(), Clock()
         self.live = make(fleet, self.bus)
         cast(Any, self.live.fleet_state).clock = self.clock

@@ -15,7 +15,7 @@ from websockets.asyncio.client import connect
 
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.types import Ask, Faults, Mission, Stop
-from handfast.deploy.session.joined_bus import OperatorBus
+from handfast.agent.transport.bus import Bus
 from handfast.deploy.view.live import LiveServer
 from handfast.deploy.view.live_fleet import LiveFleet
 from handfast.deploy.view.server import TALK_PATH, Content
@@ -34,7 +34,7 @@ class Served(Running):
     def __init__(self, **options: Any) -> None:
         options.setdefault("ways", lambda: [Way()])
 
-        def make(fleet: Fleet, bus: OperatorBus) -> LiveFleet:
+        def make(fleet: Fleet, bus: Bus) -> LiveFleet:
             self.server = LiveServer(fleet, bus, **options)
             return self.server.live
 

@@ -6,23 +6,18 @@ import argparse
 import re
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from handfast.agent.fleet.hosts import HostSection
-from handfast.agent.fleet.model import Fleet
-from handfast.agent.security.credentials import RENEW_DAYS, authority_of, load, make_request
+from handfast.agent.security.credentials import RENEW_DAYS, authority_of, load
 from handfast.agent.security.identity import of_operator, of_robot, of_router
 from handfast.deploy.commands.hosts import keys as keys_command
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.hosts import at_rest
-from handfast.deploy.hosts.at_rest import Rest
-from handfast.deploy.inventory.certificate_authority import Authority
 from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from handfast.deploy.inventory.fleets_up import note_down, note_up
 from handfast.deploy.inventory.operator_credentials import keys_folder
-from tests.unit.deploy.orders.order_fleets import square
+from tests.unit.deploy.hosts.two_hosts import fleet
 
 Run = Callable[..., list[str]]
 DAY_S = 86_400
@@ -49,7 +44,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_from_nothing_and_again(run: Run) -> None:
     said = run()
-    assert said[0].startswith(f"made the authority of delta in {keys_folder(FLEET)}")
+    assert said[0].startswith(f"made authority 1 of delta in {keys_folder(FLEET)}")
     assert said[1].endswith("delta.operator.main.crt (it has none yet)")
     assert [line.split()[0] for line in said[2:]] == ["authority", "operator"]
     before = load(keys_folder(FLEET), ME, time.time()).certificate
@@ -92,51 +87,31 @@ def test_another_operator(run: Run) -> None:
     load(keys_folder(FLEET), of_operator(FLEET, "ann"), time.time())
 
 
-def test_everybody_shut_out(run: Run, tmp_path: Path) -> None:
+def test_a_new_authority_revokes_all_certificates(run: Run, tmp_path: Path) -> None:
     run("--robot", "3", "--out", str(tmp_path / "r3"))
-    said = run("--replace-authority")
-    assert said[0].startswith("made authority 2 of delta: every certificate of before is void")
+    said = run("--new-authority")
+    assert said[0].startswith(f"made authority 2 of delta in {keys_folder(FLEET)}")
+    assert said[1].startswith("All previous certificates are revoked")
     assert [line.split()[-1] for line in said if line.startswith("operator  ")] == ["valid"]
     assert said[-1].endswith("void: of an authority that was replaced")
     assert run("--robot", "3", "--out", str(tmp_path / "r3"))[-1].endswith("valid")
 
 
-def test_who_needs_a_new_certificate_is_said(run: Run, tmp_path: Path) -> None:
-    """Each with the command that makes it."""
-    ann = ("--set", 'network.operators=["main", "ann"]')
-    run("--operator", "ann", *ann)
-    run("--router", "--address", "10.0.0.9")
-    run("--robot", "3", "--out", str(tmp_path / "r3"), "--address", "10.0.0.3")
-    assert [line for line in run("--replace-authority", *ann) if line.startswith("void:")] == [
-        "void: operator ann; `handfast keys delta --operator ann`, or --request where it is",
-        "void: robot 3; `handfast keys delta --robot 3 --address 10.0.0.3 --out DIR`",
-        "void: router main; `handfast keys delta --router --address 10.0.0.9`, with --out DIR to carry it",
-    ]
+def test_an_authority_is_not_replaced_while_its_fleet_is_up(run: Run, tmp_path: Path) -> None:
+    on_hosts = fleet()
+    run()
+    note_up(on_hosts, tmp_path / "fleet.toml", ["rover1"], complete=True)
+    before = authority_of(keys_folder(FLEET))
+    with pytest.raises(InputError, match=r"delta \(up on rover1 since .*`handfast down` first"):
+        run("--new-authority")
+    assert authority_of(keys_folder(FLEET)) == before
+    run("--new-authority", "--force")
+    note_down(on_hosts, ["rover1"])
+    run("--new-authority")
+    assert authority_of(keys_folder(FLEET)) != before
 
 
-def test_robots_with_a_host_are_given_theirs_by_up(tmp_path: Path) -> None:
-    name = "few"
-    fleet = replace(square(), hosts=(HostSection("left"),))
-    fleet = replace(fleet, robots=tuple(replace(robot, host="left") for robot in fleet.robots))
-    with Authority(tmp_path, name, fleet.ids, time.time()) as by:
-        for robot in (1, 2):
-            identity = of_robot(name, robot)
-            by.sign(identity, make_request(tmp_path, identity), (), time.time())
-        by.replace(time.time())
-        assert list(keys_command._void("f.toml", fleet, by)) == ["void: robots 1, 2; `handfast up f.toml`"]
-
-
-def test_routers_of_hosts_are_given_theirs_by_up(tmp_path: Path, run: Run) -> None:
-    name = "few"
-    fleet = replace(square(), hosts=(HostSection("left"),))
-    fleet = replace(fleet, robots=tuple(replace(robot, host="left") for robot in fleet.robots))
-    routed = replace(fleet, network=replace(fleet.network, topology="routed"))
-    with Authority(tmp_path, name, fleet.ids, time.time()) as by:
-        identity = of_router(name, "1")
-        by.sign(identity, make_request(tmp_path, identity), (), time.time())
-        by.replace(time.time())
-        assert list(keys_command._void("f.toml", routed, by)) == ["void: router 1; `handfast up f.toml`"]
-        assert list(keys_command._void("f.toml", fleet, by)) == [], "nobody asks for it any more"
+def test_a_router_needs_an_address(run: Run) -> None:
     with pytest.raises(InputError, match="those on hosts get theirs from `handfast up`"):
         run("--router")
 
@@ -146,14 +121,14 @@ def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.Monk
     run()
     late_s = begun_s + (AUTHORITY_DAYS - 20) * DAY_S
     monkeypatch.setattr(time, "time", lambda: late_s)
-    assert re.search(r"ends in (19|20) days, and all certificates with it: --repl", run("--list")[0])
+    assert re.search(r"ends in (19|20) days, and all certificates with it: --new", run("--list")[0])
     said = run()  # renews it once, to the authority's end, and not again
     assert said[0].startswith("operator main: made")
     assert re.search(r"ends in (19|20) days, with its authority", said[-1])
     assert run() == said[1:]
     monkeypatch.setattr(time, "time", lambda: late_s + 20 * DAY_S)
-    assert "expired: --replace-authority" in run("--list")[0]
-    assert run("--replace-authority")[0].startswith("made authority 2 of delta")
+    assert "expired: --new-authority" in run("--list")[0]
+    assert run("--new-authority")[0].startswith("made authority 2 of delta")
 
 
 @pytest.mark.parametrize(
@@ -161,14 +136,11 @@ def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.Monk
     [
         (["--list"], "delta has no authority in .*: `handfast keys delta` makes it"),
         (["--list", "--renew"], "--list goes alone: leave out --renew"),
-        (["--sign", "x", "--backup", "y"], "--sign goes alone: leave out --backup"),
+        (["--sign", "x", "--install", "y"], "--sign goes alone: leave out --install"),
         (["--request"], "--request needs --out FILE"),
-        (["--force"], "--force belongs to --replace-authority"),
+        (["--force"], "--force belongs to --new-authority"),
         (["--sign", "/nowhere"], "cannot read /nowhere: no such file"),
         (["--install", "/nowhere"], "cannot read /nowhere: no such file"),
-        (["--restore", "/nowhere"], "cannot read /nowhere: no such file"),
-        (["--backup", "/dev/null"], "/dev/null is there already: a backup takes the place of none"),
-        (["--backup", "/nowhere/b"], "delta has no authority in .*: `handfast keys delta` makes it"),
         (["--robot", "3"], "--robot and --out DIR belong together"),
         (["--out", "x"], "--robot and --out DIR belong together"),
         (["--robot", "9", "--out", "x"], "no robot 9 in delta"),
@@ -185,33 +157,3 @@ def test_bad_input(run: Run, arguments: list[str], what: str) -> None:
         run(*arguments)
     assert len(str(raised.value).splitlines()) == 1
     assert not keys_folder(FLEET).exists(), "what cannot be done makes nothing"
-
-
-def test_the_fleet_is_asked_before_its_authority_is_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[str] = []
-
-    def rest_of(fleet: Fleet, source: str) -> Rest:
-        asked.append(fleet.fleet.name)
-        return Rest((2,), ())
-
-    monkeypatch.setattr(at_rest, "rest_of", rest_of)
-    parser = argparse.ArgumentParser()
-    keys_command.add_arguments(parser)
-
-    def run(*arguments: str) -> None:
-        secured = ("--set", 'network.security="mtls"', "--keys", str(tmp_path))
-        options = parser.parse_args([FLEET, *secured, *arguments])
-        assert options.command(options) == 0
-
-    run("--replace-authority")
-    assert asked == [], "there was none before"
-    with pytest.raises(InputError, match="the authority was not replaced: robot 2 is on a mission"):
-        run("--replace-authority")
-    run()
-    assert asked == [FLEET]
-    before = authority_of(tmp_path)
-    run("--replace-authority", "--force")
-    assert asked == [FLEET]
-    assert authority_of(tmp_path) != before
