@@ -112,7 +112,6 @@ lock: $(VENV)/.dev ## write requirements/*.txt again (UPGRADE=1: newest versions
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra operator --group pyproject.toml:build -o requirements/operator.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover -o requirements/rover.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra recorder --extra rover --extra security --group pyproject.toml:bundle -o deploy/data/robot_requirements.txt
-	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra cluster --group pyproject.toml:bundle -o deploy/data/worker_requirements.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt -o requirements/core.txt
 
 setup: $(VENV)/.dev ## make .venv with everything a developer needs

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from math import inf
+from numbers import Real
 from operator import index
 from pathlib import Path
 from typing import Final, TypeVar
@@ -54,6 +56,13 @@ def flags(**given: object) -> None:
     for name, value in given.items():
         if not isinstance(value, bool):
             raise Error(f"{name} must be True or False, got {value!r}")
+
+
+def positive(given: object, what: str) -> float:
+    """A number above 0; raises `Error`."""
+    if not isinstance(given, bool) and isinstance(given, Real) and 0.0 < float(given) < inf:
+        return float(given)
+    raise Error(f"{what} must be a number above 0, got {given!r}")
 
 
 def whole(given: object, what: str, least: int | None = None) -> int:

@@ -7,8 +7,6 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING
 from functools import cached_property
-from math import inf
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, Unpack, get_type_hints
 
 import numpy as np
@@ -18,13 +16,15 @@ from handfast.agent.common.errors import Error, packages_named
 from handfast.agent.formation.points import Floats
 from handfast.deploy.api.changes import Classes, in_words_of_python, toml
 from handfast.deploy.api.fleet import Changes, Fleet, Source, load, names_known
-from handfast.deploy.api.given import Known, flags, whole
+from handfast.deploy.api.given import Known, flags, positive, whole
 from handfast.deploy.api.recording import data_frame
-from handfast.deploy.cluster.choose import SSH, make_engine
+from handfast.deploy.cluster.campaign import Resources
+from handfast.deploy.cluster.program import identity
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.progress import make_progress
-from handfast.deploy.simulate.worker_pool import Work, cores
-from handfast.deploy.sweep.plan import Plan, Question, make_plan
+from handfast.deploy.hosts.artifacts.plugin_files import plugins_of
+from handfast.deploy.simulate.worker_pool import Work
+from handfast.deploy.sweep.plan import Plan, Question, check_cells, make_plan
 from handfast.deploy.sweep.run import PASSED, Row, Runs
 from handfast.deploy.sweep.summary import Cell, margin_axis, margins, summarise
 from handfast.deploy.sweep.varied import Axis, Range, parse_axis, parse_over
@@ -136,11 +136,11 @@ class Sweep:
         from handfast.deploy.report.drawing.plotting import styled
         from handfast.deploy.sweep.figures import drawings
 
-        if not self.fields and not self._plan.ranges:
-            raise Error("nothing is varied: there is nothing to plot")
+        if not self.fields:
+            raise Error("no field is varied over values: there is nothing to plot")
         axis, cells = margin_axis(self._plan, None), self._cells
         found = margins(self._plan, cells, axis) if axis is not None else []
-        known = drawings(self._plan, cells, axis, found, self._rows)
+        known = drawings(self._plan, cells, axis, found)
         draw = Known("picture", known)[next(iter(known)) if name is None else name]
         with styled():
             return draw()
@@ -166,7 +166,6 @@ def sweep(
     workers: int | None = None,
     cluster: str | None = None,
     cluster_wait: float | None = None,
-    accept_new_host_keys: bool = False,
     random_starts: bool | float = False,
     check: bool = True,
     progress: bool = False,
@@ -181,10 +180,9 @@ def sweep(
             ``"0..1.4s"`` is a range: every run draws a number of it, a column.
         seeds: how many runs of each combination, each with other noise; the same ones in each.
         workers: processes (default: the number of cores).
-        cluster: drives on other machines: ``tcp://host:port`` or ``tls://host:port`` of a Dask scheduler, its
-            scheduler file, or ``ssh:FLEET`` for the hosts of a fleet file.
-        cluster_wait: so long a scheduler that has no worker is waited for, s (default: 60).
-        accept_new_host_keys: takes the keys of a fleet's hosts that were never met before for their own.
+        cluster: drives on the workers of a Dask scheduler: ``tcp://host:port``, ``tls://host:port`` or its
+            scheduler file.
+        cluster_wait: time to wait while the scheduler has no worker, s (default: 60).
         random_starts: every seed starts somewhere else, in a square with this side (m), or one that suits.
         check: refuses a grid in which `check` finds errors.
         progress: shows on stderr how far it is.
@@ -192,69 +190,60 @@ def sweep(
     Raises:
         Error: the grid is not sound; or the cluster cannot be used, or was lost.
     """
-    flags(check=check, progress=progress, accept_new_host_keys=accept_new_host_keys)
+    flags(check=check, progress=progress)
     loaded = load(fleet, changes, **named)
-    if over is not None and not isinstance(over, Mapping):
-        raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
-    if cluster is not None and workers is not None:
-        raise Error("workers are this machine's processes, a cluster says its own: leave one out")
-    if cluster_wait is not None:
-        if cluster is None or cluster.startswith(SSH):
-            raise Error("cluster_wait is of a Dask scheduler that cluster names: leave it out")
-        wait: Any = cluster_wait
-        if isinstance(wait, bool) or not (isinstance(wait, Real) and 0.0 < float(wait) < inf):
-            raise Error(f"cluster_wait must be a time above 0 (s), got {cluster_wait!r}")
-    if accept_new_host_keys and not (cluster or "").startswith(SSH):
-        raise Error("accept_new_host_keys is of the hosts that cluster='ssh:FLEET' names: leave it out")
-    jobs = cores() if workers is None else whole(workers, "workers", 1)
+    jobs = None if workers is None else whole(workers, "workers", 1)
+    wait_s = None if cluster_wait is None else positive(cluster_wait, "cluster_wait")
     seeds = whole(seeds, "seeds", 1)
-    side: Any = None if random_starts is False else 0.0 if random_starts is True else random_starts
-    if random_starts not in (True, False) and not (isinstance(side, Real) and 0.0 < float(side) < inf):
-        raise Error(
-            f"random_starts must be True, False or the side of a square (m) above 0, got {random_starts!r}"
-        )
     classes = Classes(loaded.classes)
     with in_words_of_python():
-        axes, ranges, values = _axes(over or {}, classes)
+        resources = Resources(cluster, jobs, wait_s, RUN_S_MAX)
+        axes, ranges, values = _axes({} if over is None else over, classes)
         varied = {*values, *(each.field for each in ranges)}
-        question = Question(
-            loaded.source,
-            loaded.text,
-            loaded.law,
-            tuple(each for field, each in loaded.overrides.items() if field not in varied),
-            axes,
-            seeds,
-            None if side is None else float(side),
-            ranges,
-        )
-        plan = make_plan(question)
-    if check:
-        _refuse_errors(plan)
+        kept = tuple(each for field, each in loaded.overrides.items() if field not in varied)
+        start = _start_square(random_starts)
+        plan = make_plan(Question(loaded.source, loaded.text, loaded.law, kept, axes, seeds, start, ranges))
+        if check:
+            _refuse_errors(plan)
+    return Sweep(plan, _drive(plan, classes.known, resources, progress=progress), values)
+
+
+def _start_square(random_starts: object) -> float | None:
+    """What `Question.random_starts` is."""
+    if isinstance(random_starts, bool):
+        return 0.0 if random_starts else None
+    return positive(random_starts, "random_starts")
+
+
+def _drive(
+    plan: Plan, classes: Mapping[str, type], resources: Resources, *, progress: bool
+) -> Mapping[int, Row]:
+    """All rows of a plan.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed.
+    """
     rows: dict[int, Row] = {}
-    work: Work[Row] = _Carried(Runs(plan), classes.known) if classes.known else Runs(plan)
+    work: Work[Row] = _Carried(Runs(plan), classes) if classes else Runs(plan)
     interrupt = Interrupt()
     show = make_progress(sys.stderr, plan.runs, quiet=not progress, trouble="unsafe or not settled")
-
-    def go_on() -> bool:
-        return interrupt.count == 0
-
-    engine = make_engine(
-        cluster, work, jobs, RUN_S_MAX, show, plan.cells,
-        go_on=go_on, wait_s=cluster_wait, accept_new=accept_new_host_keys,
-    )  # fmt: skip
+    plugins = plugins_of(plan.cells)
+    engine = resources.engine(work, identity(plugins), plugins, show.say)
     with interrupt.caught(), show, engine:
-        for row in engine.results(plan.order(), go_on):
+        for row in engine.results(plan.order(), lambda: interrupt.count == 0):
             rows[row.run] = row
             show.add(trouble=not row.good)
     if interrupt.count:
         raise KeyboardInterrupt(f"{len(rows)} of {plan.runs} runs were done")
-    return Sweep(plan, rows, values)
+    return rows
 
 
 def _axes(
     over: Mapping[str, Iterable[object] | str], classes: Classes
 ) -> tuple[tuple[Axis, ...], tuple[Range, ...], dict[str, Sequence[object]]]:
     """The grid, what is drawn, and the grid's values by field."""
+    if not isinstance(over, Mapping):
+        raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
     axes: list[Axis] = []
     ranges: list[Range] = []
     values: dict[str, Sequence[object]] = {}
@@ -279,18 +268,11 @@ def _drawn(field: str, text: str) -> Axis | Range | None:
 
 
 def _refuse_errors(plan: Plan) -> None:
-    from handfast.deploy.check.check import check
-
-    for cell in range(len(plan.cells)):
-        try:
-            found = [each for fleet in plan.samples(cell) for each in check(fleet)]
-            errors = [each for each in found if each.level == "error"]
-        except ValueError as error:
-            raise Error(f"random_starts: {error}") from None
-        if errors:
+    for finding, (cell, *_) in check_cells(plan):
+        if finding.level == "error":
             raise Error(
                 f"not started (check=False drives all the same): with {plan.name(cell)}, "
-                f"{errors[0].place}: {errors[0].message}"
+                f"{finding.place}: {finding.message}"
             )
 
 

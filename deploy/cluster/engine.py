@@ -1,83 +1,57 @@
-"""Runs on the workers of a Dask scheduler: an `Engine` of many machines.
+"""Drive the runs of a campaign on the workers of a Dask scheduler. Each run is one Dask task.
 
-Every run is given to one worker by name. So this end, not the scheduler, decides what a lost worker means:
-its runs are driven again elsewhere, and one that has lost two workers is a row. A worker is looked at before
-it is given anything: one that would drive other numbers gets nothing.
+The worker's thread does not drive the run itself. It watches a process that does
+(`deploy.simulate.worker_pool`), so that a run that dies or hangs becomes a row, as on one machine.
 """
 
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import pickle
 import queue
+import shutil
+import sys
+import tempfile
 import time
 import uuid
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
-from math import isfinite
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import distributed
-from distributed.security import Security
+from distributed.versions import VersionMismatchWarning
 
-from handfast.deploy.cluster.connection import CLOSE_S, ClusterError, GivenUp, connected
-from handfast.deploy.cluster.dask_configuration import configured_security
-from handfast.deploy.cluster.on_worker import UnknownCampaign
-from handfast.deploy.cluster.reasons import error_line
-from handfast.deploy.cluster.sent import Unfinished, Unreadable, pack
-from handfast.deploy.cluster.watch import LOOK_S, MODULE, Watch, remote
-from handfast.deploy.simulate.worker_pool import POLL_S, EngineLost, GoOn, Work
+from handfast.agent.common.errors import Error
+from handfast.agent.common.wording import printable
+from handfast.deploy.cluster.program import ClusterError, differences, identity
+from handfast.deploy.console.wording import error_text
+from handfast.deploy.simulate.worker_pool import (
+    POLL_S,
+    Abandoned,
+    EngineLost,
+    GoOn,
+    Pool,
+    PoolError,
+    Refused,
+    Work,
+)
 
-AHEAD: Final = 1
-"""Runs that wait at each thread of a worker, beside the one that it is at: no more are submitted."""
-DEATHS_MAX: Final = 2
-"""A run that was under way when so many workers died is not driven again."""
-SILENT_S: Final = 30.0
-"""A scheduler that has said nothing for this long is given up."""
-WORKERS_S: Final = 60.0
-"""So long a campaign waits for a worker when it has none, unless somebody says otherwise."""
-WAITS_S: Final = 20.0
-"""So often it is said that it waits."""
-NOBODY_HAS: Final = "handfast-nobody"
-DEMAND_MAX: Final = 200
-"""So many of the runs that wait here the scheduler is told of."""
-RESULT_S: Final = 10.0
-"""So long a result may take from a worker that has it."""
-HEARD_S: Final = 2.0
-HURRY_S: Final = 0.5
-"""What the end of a campaign may ask for may take so long where the scheduler says nothing."""
+CONNECT_S: Final = 10.0
+"""Timeout of each step of connecting to the scheduler."""
+ANSWER_S: Final = 20.0
+"""Timeout of a question to the scheduler. A scheduler that takes longer is treated as lost."""
+LOOK_S: Final = 2.0
+"""Period at which the scheduler is asked how many workers it has."""
+CLOSE_S: Final = 5.0
+"""Timeout of each step of closing the connection."""
+SUBMITTED_MAX: Final = 2000
+"""Maximum number of runs that the scheduler holds at a time."""
 
 T = TypeVar("T")
-Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class _Given:
-    """A run that a worker has, and the future that stands for it."""
-
-    run: int
-    worker: str
-    future: Any
-
-
-class _Cancelled:
-    """What came of a run whose future was cancelled: nothing."""
-
-
-@dataclass
-class _Worker:
-    """A worker that may be given runs: those that it has, in the order in which it got them."""
-
-    threads: int
-    process: str
-    given: dict[str, _Given] = field(default_factory=dict)
-
-    @property
-    def under_way(self) -> list[_Given]:
-        """What it drives now; the rest waits there."""
-        return list(self.given.values())[: self.threads]
 
 
 class Cluster(Generic[T]):
@@ -85,18 +59,11 @@ class Cluster(Generic[T]):
 
     Args:
         address: ``tcp://host:port`` or ``tls://host:port``.
-        files: of plugins that go along, by their names below a folder of packages.
-        say: is told of workers that are refused, are lost or come late.
-        count: is told how many runs are driven at a time, on how many workers, whenever that changes.
-        security: of the connections; else as Dask's configuration has it.
-        broken: says why there will be no workers any more, None while there may be.
-        expects: how many workers there will be, 0 where nobody knows.
-        patience_s: so long it waits for a worker when it has none.
-        name: how the scheduler is called in messages; else by its address.
-        go_on: is asked while there is no connection yet: where it says no none is made, and no run is driven.
+        files: contents of plugin files by their names below a folder of packages; sent to the workers.
+        wait_s: time to wait while the scheduler has no worker.
 
     Raises:
-        ClusterError: on entering: there is no such scheduler, or it is of no use.
+        ClusterError: on entering: the scheduler cannot be reached, or a worker has other versions.
     """
 
     def __init__(
@@ -104,291 +71,214 @@ class Cluster(Generic[T]):
         address: str,
         work: Work[T],
         timeout_s: float,
-        *,
         files: Mapping[str, bytes],
-        say: Say,
-        count: Callable[[int, int], None] = lambda _runs, _workers: None,
-        security: Security | None = None,
-        broken: Callable[[], str | None] = lambda: None,
-        expects: Callable[[], int] = lambda: 0,
-        patience_s: float = WORKERS_S,
-        name: str = "",
-        go_on: GoOn = lambda: True,
+        wait_s: float,
     ) -> None:
-        self._address, self._work, self._timeout_s, self._files = address, work, timeout_s, files
-        self._say, self._count, self._security, self._broken = say, count, security, broken
-        self._expects, self._patience_s, self.name = expects, patience_s, name or address
-        self._wanted = go_on
-        self._campaign = uuid.uuid4().hex
-        self._workers: dict[str, _Worker] = {}
-        self._deaths: dict[int, list[str]] = {}
-        self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._keys = 0
-        self._worked = False  # whether a run has come back
-        self._demand: list[Any] = []
-        self._left = ExitStack()
+        self._address, self._work, self._wait_s = address, work, wait_s
+        self._campaign = Campaign(pickle.dumps(work), files, timeout_s)
+        self._name = f"handfast-{uuid.uuid4().hex}"
+        self._asked_s = self._manned_s = time.monotonic()
 
     def __enter__(self) -> Cluster[T]:
-        security = self._security or configured_security()
-        certified = security.get_connection_args("client")["ssl_context"] is not None
-        if self._address.startswith("tls://") and not certified:
-            raise ClusterError(
-                f"{self.name} needs certificates: name them in Dask's configuration "
-                "(distributed.comm.tls.ca-file, client.cert and client.key)"
-            )
-        with ExitStack() as stack:
-            stack.enter_context(_silenced())
-            with suppress(GivenUp):  # then nobody wants results either
-                self._client: Any = stack.enter_context(
-                    connected(self._address, security, self.name, self._wanted)
-                )
-                self._watch = Watch(
-                    self._client, self._campaign, pack(self._work), self._files, self._timeout_s, self._wanted
-                )
-                stack.callback(self._end)
-            self._left = stack.pop_all()
+        for name in list(logging.root.manager.loggerDict):
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are reported as one line
+        make: Any = distributed.Client
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", VersionMismatchWarning)  # `_compare` names what matters
+            try:
+                self._client: Any = make(self._address, timeout=CONNECT_S, set_as_default=False)
+            except Exception as error:  # Dask raises almost anything, depending on who answers there
+                raise ClusterError(
+                    f"cannot connect to a Dask scheduler at {self._address}: {_line(error)}"
+                ) from None
+        try:
+            self._compare()
+            self._client.register_plugin(self._campaign, name=self._name)
+        except BaseException as error:
+            self.__exit__(None, None, None)
+            if isinstance(error, Error) or not isinstance(error, Exception):
+                raise
+            raise ClusterError(f"the workers of {self._address} cannot be used: {_line(error)}") from None
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._left.close()
+        with suppress(Exception):  # the scheduler may be gone
+            self._ask(self._client.scheduler.unregister_worker_plugin, CLOSE_S, name=self._name)
+        with suppress(Exception):
+            self._client.close(timeout=CLOSE_S)
 
-    def _end(self) -> None:
-        """Has nobody work for this campaign any more."""
-        # Of a scheduler that stands still nobody can ask anything; workers end what nobody asks for.
-        within_s = CLOSE_S if self._watch.silent_s < LOOK_S + HEARD_S else HURRY_S
-        if not self._watch.stop(within_s):
-            within_s = HURRY_S
-        if self._client.status == "running":
-            workers = list(self._workers)
-            given = [each.future for worker in self._workers.values() for each in worker.given.values()]
-            self._cancel([*given, *self._demand], within_s)
-            self._watch.end(workers, within_s)
+    def _compare(self) -> None:
+        """Compare the versions of all workers with those of this installation."""
+        here = identity()
+        for address, there in self._client.run(identity, on_error="return").items():
+            if isinstance(there, Exception):
+                raise ClusterError(f"the worker {address} cannot load handfast: {_line(there)}")
+            if text := differences(here, there):
+                raise ClusterError(
+                    f"the worker {address} has another installation: {text}. Install the same there, "
+                    "and restart it"
+                )
 
     def results(self, runs: Iterable[int], go_on: GoOn) -> Iterator[T]:
-        """What came of `runs`, in whatever order they end, until all are done or `go_on` says no.
+        """Yield the results of `runs` in the order in which they end, until all are done or `go_on` returns
+        False.
 
         Raises:
-            ClusterError: no worker can be had from the start.
-            EngineLost: the scheduler, or every worker, is gone.
+            EngineLost: the scheduler or every worker is gone, or a worker cannot drive runs.
         """
-        waiting = deque(runs)
-        alone_s = time.monotonic()
-        told_s = 0.0
+        waiting = iter(runs)
+        ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        submitted: dict[Any, int] = {}
+        self._manned_s = time.monotonic()
         while go_on():
-            yield from self._look(waiting)
-            if not waiting and not any(worker.given for worker in self._workers.values()):
+            while len(submitted) < SUBMITTED_MAX and (run := next(waiting, None)) is not None:
+                key = (self._name, run)
+                future = self._client.submit(drive, self._name, run, key=key, pure=False)
+                submitted[future] = run
+                future.add_done_callback(ended.put)
+            if not submitted:
                 return
-            if self._workers:
-                alone_s, told_s = time.monotonic(), 0.0
-            else:
-                waited_s = time.monotonic() - alone_s
-                self._refuse_nobody(waited_s)
-                if waited_s > told_s + WAITS_S and isfinite(self._patience_s):
-                    told_s = waited_s
-                    self._say(
-                        f"there is no worker at {self.name} yet: waiting for one since {waited_s:.0f} s, "
-                        f"for {self._patience_s:.0f} s at most"
-                    )
-            self._give(waiting)
-            self._ask_for(len(waiting))
-            for given in self._done():
-                before = self._ended.qsize()
-                yield from self._take(given, waiting)
-                if self._ended.qsize() > before:
-                    break  # it could not be had: whether the scheduler is gone is seen first
+            try:
+                future = ended.get(timeout=POLL_S)
+            except queue.Empty:
+                self._look()
+                continue
+            yield self._result(submitted.pop(future), future)
 
-    # ------------------------------------------------------------------ workers
+    def _result(self, run: int, future: Any) -> T:
+        try:
+            found = future.result(timeout=ANSWER_S)
+        except distributed.KilledWorker as error:
+            found = Unfinished(f"the {error.allowed_failures + 1} workers that drove it died", 0.0, False)
+        except PoolError as error:
+            raise EngineLost(f"a worker of {self._address} cannot drive runs: {error}") from None
+        except Exception as error:
+            raise EngineLost(f"the scheduler {self._address} is gone ({_line(error)})") from None
+        if isinstance(found, Unfinished):
+            return self._work.unfinished(run, found.reason, found.wall_s, timed_out=found.timed_out)
+        result: T = found
+        return result
 
-    def _look(self, waiting: deque[int]) -> Iterator[T]:
-        """Takes note of who has come and gone; runs that are not driven again are results."""
-        seen = self._watch.seen
-        if self._client.status != "running" or time.monotonic() - seen.at_s > SILENT_S:
-            raise EngineLost(f"the scheduler {self.name} is gone")
-        for text in self._watch.said():
-            self._say(text)
-        before = self._at_work()
-        for address, worker in list(self._workers.items()):
-            there = seen.workers.get(address)
-            if there is None or there.process != worker.process:
-                yield from self._lost(address, waiting)
-        for address, there in self._watch.usable():
-            self._workers.setdefault(address, _Worker(there.threads, there.process))
-        now = self._at_work()
-        if now != before:
-            self._count(*now)
-
-    def _at_work(self) -> tuple[int, int]:
-        """How many runs are driven at a time, and on how many workers."""
-        return sum(worker.threads for worker in self._workers.values()), len(self._workers)
-
-    def _lost(self, address: str, waiting: deque[int]) -> Iterator[T]:
-        """Has what a worker had driven again elsewhere, but for what has died with too many."""
-        worker = self._workers.pop(address)
-        blamed = {given.run for given in worker.under_way}
-        self._cancel(given.future for given in worker.given.values())
-        again, rows = 0, list[T]()
-        for given in reversed(worker.given.values()):
-            if given.run in blamed:
-                deaths = self._deaths.setdefault(given.run, [])
-                deaths.append(address)
-                if len(deaths) >= DEATHS_MAX:
-                    reason = f"the workers that drove it died: {', '.join(deaths)}"
-                    rows.append(self._work.unfinished(given.run, reason, 0.0, timed_out=False))
-                    continue
-            waiting.appendleft(given.run)
-            again += 1
-        self._say(f"the worker {address} is gone{f'; {_runs(again)} driven again elsewhere' * bool(again)}")
-        yield from rows
-
-    def _refuse_nobody(self, waited_s: float) -> None:
-        """Raises where there is no worker, and none to be waited for."""
-        kind = EngineLost if self._worked else ClusterError
-        if (why := self._broken()) is not None:
-            raise kind(why)
-        seen = self._watch.seen
-        if seen.refused >= max(1, self._expects()) and not seen.unknown:
-            raise kind(
-                f"no worker of {self.name} can be used; each has another installation than this one: give "
-                "them this one, and start them again"
-            )
-        if waited_s > self._patience_s:
-            raise kind(
-                f"there is no worker at {self.name}: none has come within {self._patience_s:.0f} s "
+    def _look(self) -> None:
+        """Raise `EngineLost` if the scheduler does not answer, or has had no worker for too long."""
+        if (now_s := time.monotonic()) < self._asked_s + LOOK_S:
+            return
+        self._asked_s = now_s
+        try:
+            workers = self._ask(self._client.scheduler.identity, ANSWER_S, n_workers=0)["n_workers"]
+        except Exception as error:
+            raise EngineLost(f"the scheduler {self._address} is gone ({_line(error)})") from None
+        if workers:
+            self._manned_s = now_s
+        elif now_s - self._manned_s > self._wait_s:
+            raise EngineLost(
+                f"the scheduler {self._address} has had no worker for {self._wait_s:g} s "
                 "(--cluster-wait, or cluster_wait in Python, waits longer)"
             )
 
-    # ------------------------------------------------------------------ runs
+    def _ask(self, question: Any, timeout_s: float, **arguments: object) -> Any:
+        return self._client.sync(question, callback_timeout=timeout_s, **arguments)
 
-    def _give(self, waiting: deque[int]) -> None:
-        """Submits runs: one for each thread first, then those that wait there."""
-        for ahead in range(AHEAD + 1):
-            for address, worker in self._workers.items():
-                while waiting and len(worker.given) < worker.threads * (ahead + 1):
-                    # A run that was there when a worker died is driven by itself: if it is what kills them,
-                    # it must not take others along, of which then nobody knows whose fault it was.
-                    suspects = [given for given in worker.given.values() if given.run in self._deaths]
-                    if suspects or (waiting[0] in self._deaths and worker.given):
-                        break
-                    self._submit(waiting.popleft(), address, worker)
 
-    def _ask_for(self, waiting: int) -> None:
-        """Has the scheduler know how many runs wait here: an adaptive cluster grows by what it knows of.
+def _line(error: BaseException) -> str:
+    text = str(error)
+    if not text or not isinstance(error, OSError):
+        text = f"{type(error).__name__}: {text}"
+    return printable(" ".join(text.split())[:300])
 
-        It is told by tasks that no worker can take, for that nobody has what they need. Given to no worker,
-        they are also there while there is none, when no run can be given.
+
+# --- in the workers ---------------------------------------------------------------------------------
+
+
+class Unfinished(NamedTuple):
+    """A run whose process died or was ended; fields as of `Work.unfinished`."""
+
+    reason: str
+    wall_s: float
+    timed_out: bool
+
+
+class Campaign(distributed.WorkerPlugin):
+    """What a worker needs to drive runs: the work as bytes, plugin files, and the processes that are idle."""
+
+    def __init__(self, data: bytes, files: Mapping[str, bytes], timeout_s: float) -> None:
+        self._data, self._files, self._timeout_s = data, dict(files), timeout_s
+
+    def setup(self, worker: distributed.Worker) -> None:
+        if multiprocessing.parent_process() is not None:
+            # A nanny starts workers as daemons, which may not have children. Ours end by themselves.
+            multiprocessing.current_process().daemon = False
+        self._ended = False
+        self._idle: list[Pool[Any]] = []
+        self._folder = Path(tempfile.mkdtemp(prefix="handfast-", dir=worker.local_directory))
+        for name, data in self._files.items():
+            path = self._folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        self._work = SentWork(self._data, str(self._folder))
+
+    def teardown(self, worker: distributed.Worker) -> None:
+        self._ended = True
+        while self._idle:
+            self._idle.pop().__exit__(None, None, None)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def drive(self, run: int, go_on: GoOn) -> object:
+        """Return the result of a run, or `Unfinished`.
+
+        Raises:
+            PoolError: no run can be driven here.
+            Abandoned: the run is no longer wanted.
         """
-        wanted = min(waiting, DEMAND_MAX)
-        for future in self._demand[wanted:]:
-            future.release()
-        del self._demand[wanted:]
-        if wanted > len(self._demand):
-            self._keys += 1
-            keys = [self._key(f"waits-{self._keys}-{k}") for k in range(len(self._demand), wanted)]
-            self._demand += self._client.map(
-                int, range(len(keys)), key=keys, resources={NOBODY_HAS: 1}, pure=False
-            )
-
-    def _key(self, rest: str) -> str:
-        """The name of a task, which tells Dask that all of a campaign take about as long."""
-        return f"handfast-{self._campaign}-{rest}"
-
-    def _submit(self, run: int, address: str, worker: _Worker) -> None:
-        self._keys += 1
-        key = self._key(f"{run}-{self._keys}")
-        future = self._client.submit(
-            remote(MODULE, "drive"), self._campaign, run, key=key, workers=[address], pure=False
-        )
-        worker.given[key] = _Given(run, address, future)
-        future.add_done_callback(lambda _: self._ended.put(key))
-
-    def _done(self) -> Iterator[_Given]:
-        """Runs whose futures have ended; waits for one, but not long."""
-        timeout_s = POLL_S
-        while True:
-            try:
-                key = self._ended.get(timeout=timeout_s) if timeout_s else self._ended.get_nowait()
-            except queue.Empty:
-                return
-            timeout_s = 0.0
-            given = [worker.given[key] for worker in self._workers.values() if key in worker.given]
-            yield from given  # none where its worker was given up meanwhile
-
-    def _take(self, given: _Given, waiting: deque[int]) -> Iterator[T]:
-        """What came of a run; one that was not driven waits again."""
-        worker = self._workers[given.worker]
         try:
-            found = given.future.result(timeout=RESULT_S)
-        except TimeoutError:
-            self._ended.put(given.future.key)  # unless its worker is gone, which shows
-            return
-        except distributed.KilledWorker:
-            return  # its worker is gone, which shows
-        except distributed.client.FutureCancelledError:
-            found = _Cancelled()  # by others, or the scheduler is gone, which shows
-        except UnknownCampaign:
-            self._watch.forget(given.worker)
-            return
-        except Exception as error:
-            found = Unreadable(error_line(error))
-        del worker.given[given.future.key]
-        self._worked |= not isinstance(found, (Unreadable, _Cancelled))
-        given.future.release()
-        if isinstance(found, _Cancelled):
-            waiting.appendleft(given.run)
-        elif isinstance(found, Unreadable):
-            self._refuse(given.worker, found.why, waiting)
-            waiting.appendleft(given.run)
-        elif isinstance(found, Unfinished):
-            yield self._work.unfinished(given.run, found.reason, found.wall_s, timed_out=found.timed_out)
-        else:
-            yield found
-
-    def _refuse(self, address: str, why: str, waiting: deque[int]) -> None:
-        """Gives a worker nothing any more."""
-        worker = self._workers.pop(address)
-        self._cancel(given.future for given in worker.given.values())
-        waiting.extendleft(given.run for given in reversed(worker.given.values()))
-        self._watch.refuse(address, why)
-
-    def _cancel(self, futures: Iterable[Any], within_s: float = CLOSE_S) -> None:
-        with suppress(Exception):  # the scheduler may be gone, which shows
-            self._client.sync(self._client._cancel, list(futures), force=True, callback_timeout=within_s)
+            pool = self._idle.pop()
+        except IndexError:
+            pool = Pool(self._work, 1, self._timeout_s)
+        found: list[Any] = []
+        try:
+            found += pool.results((run,), lambda: go_on() and not self._ended)
+        finally:
+            if found and not self._ended:
+                self._idle.append(pool)
+            else:
+                pool.__exit__(None, None, None)
+        if not found:
+            raise Abandoned
+        return found[0]
 
 
-class _NoAllExit(logging.Filter):
-    """Lets through all but what is about `AllExit`, by which Dask ends a wait early: it says nothing else."""
+class SentWork:
+    """A `Work` as bytes, which only the processes that drive runs unpickle: they alone import plugins."""
 
-    def filter(self, record: logging.LogRecord) -> bool:
-        return record.exc_info is None or record.exc_info[0] is not distributed.client.AllExit
+    def __init__(self, data: bytes, folder: str) -> None:
+        self._data, self._folder = data, folder
+        self._work: Work[Any] | None = None
 
+    def execute(self, number: int, go_on: GoOn) -> object:
+        if self._work is None:
+            sys.path.insert(0, self._folder)
+            try:
+                self._work = pickle.loads(self._data)  # noqa: S301 (docs/sweep.md says whom Dask trusts)
+            except Exception as error:
+                raise Refused(error_text(error)) from None
+        assert self._work is not None
+        return self._work.execute(number, go_on)
 
-_NO_ALL_EXIT: Final = _NoAllExit()
-
-
-@contextmanager
-def _silenced() -> Iterator[None]:
-    """A context in which Dask logs nothing: what matters of it is said as one line.
-
-    What asyncio says of waits that Dask has ended early stays unsaid afterwards, too: it comes when they are
-    garbage, which may be at any time.
-    """
-    logging.getLogger("asyncio").addFilter(_NO_ALL_EXIT)
-    loggers = [
-        logging.getLogger(name)
-        for name in list(logging.root.manager.loggerDict)
-        if name.startswith("distributed")
-    ]
-    levels = [each.level for each in loggers]
-    for each in loggers:
-        each.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for each, level in zip(loggers, levels, strict=True):
-            each.setLevel(level)
+    def unfinished(self, _number: int, reason: str, wall_s: float, *, timed_out: bool) -> Unfinished:
+        return Unfinished(reason, wall_s, timed_out)
 
 
-def _runs(count: int) -> str:
-    return f"{count} run{'s are' if count != 1 else ' is'}"
+def drive(name: str, run: int) -> object:
+    """Drive one run of the campaign `name`. This call is the Dask task."""
+    worker = distributed.get_worker()
+    key = worker.get_current_task()
+
+    def wanted() -> bool:
+        # Dask does not interrupt a task that was cancelled, or whose client or scheduler is gone.
+        task = worker.state.tasks.get(key)
+        return task is not None and task.state == "executing"
+
+    return worker.plugins[name].drive(run, wanted)  # type: ignore[attr-defined]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 from handfast.agent.common.errors import Error
-from handfast.agent.common.quantities import seconds
 from handfast.agent.common.wording import did_you_mean, show
 from handfast.agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
 from handfast.agent.fleet.model import Fleet
@@ -175,65 +174,6 @@ def figure_formats(text: str) -> tuple[str, ...]:
             known = ", ".join(FIGURE_FORMATS)
             raise argparse.ArgumentTypeError(f"{show(each)}: no format of figures; there are: {known}")
     return formats
-
-
-def engine_arguments(parser: argparse.ArgumentParser, what: str) -> None:
-    """Adds where many runs are driven: ``--jobs`` on this machine, or ``--cluster``.
-
-    Args:
-        what: how the runs are called, in the plural.
-    """
-    parser.add_argument(
-        "--jobs", type=int, metavar="N", help=f"{what} at a time (default: the number of cores)"
-    )
-    parser.add_argument(
-        "--cluster",
-        metavar="WHERE",
-        help="drive on other machines: tcp://HOST:PORT or tls://HOST:PORT of a Dask scheduler, its "
-        "scheduler file, or ssh:FLEET for a fleet's hosts (default: on this machine)",
-    )
-    parser.add_argument(
-        "--cluster-wait",
-        metavar="TIME",
-        help="so long a cluster that has no worker is waited for (default: 1min)",
-    )
-    parser.add_argument(
-        "--accept-new-host-keys",
-        action="store_true",
-        help="of --cluster ssh:FLEET: take the key of a host that this machine has never met for its own",
-    )
-
-
-def refuse_jobs(options: argparse.Namespace) -> None:
-    """`InputError` where ``--jobs`` is given with ``--cluster``."""
-    if options.cluster is not None and options.jobs is not None:
-        raise InputError("--jobs is of this machine, a cluster's workers say it themselves: leave one out")
-
-
-def accepts_new_keys(options: argparse.Namespace) -> bool:
-    """``--accept-new-host-keys``; `InputError` where there are no hosts that are logged into."""
-    if options.accept_new_host_keys and not (options.cluster or "").startswith("ssh:"):
-        raise InputError("--accept-new-host-keys is of hosts that --cluster ssh:FLEET names: leave it out")
-    return bool(options.accept_new_host_keys)
-
-
-def cluster_wait_s(options: argparse.Namespace) -> float | None:
-    """``--cluster-wait``, None where it is not given.
-
-    Raises:
-        InputError: it is no time, or there is nothing to wait for.
-    """
-    if options.cluster_wait is None:
-        return None
-    if options.cluster is None or options.cluster.startswith("ssh:"):
-        raise InputError("--cluster-wait is of a Dask scheduler that --cluster names: leave it out")
-    try:
-        wait_s = seconds(options.cluster_wait)
-    except ValueError as error:
-        raise InputError(f"--cluster-wait {error}") from None
-    if wait_s <= 0.0:
-        raise InputError(f"--cluster-wait must be more than 0 s, got {show(options.cluster_wait)}")
-    return wait_s
 
 
 def host_argument(parser: argparse.ArgumentParser) -> None:

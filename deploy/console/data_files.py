@@ -14,7 +14,6 @@ TEMPLATE: Final = _DATA / "template.toml"
 PAGE: Final = _DATA / "page"
 FOXGLOVE_LAYOUT: Final = _DATA / "foxglove" / "handfast.json"
 ROBOT_REQUIREMENTS: Final = _DATA / "robot_requirements.txt"
-WORKER_REQUIREMENTS: Final = _DATA / "worker_requirements.txt"
 
 
 def bundled(folder: Path = FLEETS) -> list[str]:

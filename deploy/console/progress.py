@@ -31,7 +31,6 @@ class Lines:
     ) -> None:
         self._stream, self._total, self._done, self._quiet = stream, total, done, quiet
         self._before, self._what, self._trouble = done, trouble, troubled
-        self._at_work = ""
         self._begun_s = self._told_s = time.monotonic()
 
     def __enter__(self) -> Lines:
@@ -43,10 +42,6 @@ class Lines:
     def say(self, text: str) -> None:
         """A line of its own, quiet or not."""
         print(text, file=self._stream, flush=True)
-
-    def at_work(self, text: str) -> None:
-        """Who is at work from now on, in words: shown with what is next."""
-        self._at_work = f", {text}"
 
     def add(self, *, trouble: bool) -> None:
         """One more is done."""
@@ -60,8 +55,7 @@ class Lines:
         rate = (self._done - self._before) / max(now_s - self._begun_s, 1e-3)
         left_s = (self._total - self._done) / rate
         wrong = f", {self._trouble} {self._what}" if self._trouble else ""
-        more = f"{self._at_work}{wrong}"
-        self.say(f"{self._done} of {self._total} runs, {rate:.2f} a second, {clock(left_s)} left{more}")
+        self.say(f"{self._done} of {self._total} runs, {rate:.2f} a second, {clock(left_s)} left{wrong}")
 
 
 def clock(seconds: float) -> str:
@@ -85,13 +79,12 @@ class Bar:
             TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(),
             TextColumn("left"),
-            TextColumn("{task.fields[at_work]}"),
             TextColumn("{task.fields[trouble]}"),
             console=Console(file=stream),
             speed_estimate_period=120.0,
         )
         self._before, self._done, self._what, self._trouble = done, done, trouble, troubled
-        self._task = self._progress.add_task("", total=total, completed=done, rate="", at_work="", trouble="")
+        self._task = self._progress.add_task("", total=total, completed=done, rate="", trouble="")
 
     def __enter__(self) -> Bar:
         self._begun_s = time.monotonic()
@@ -104,10 +97,6 @@ class Bar:
     def say(self, text: str) -> None:
         """A line of its own, above the bar."""
         self._progress.console.print(text, markup=False, highlight=False)
-
-    def at_work(self, text: str) -> None:
-        """Who is at work from now on, in words."""
-        self._progress.update(self._task, at_work=text)
 
     def add(self, *, trouble: bool) -> None:
         """One more is done."""

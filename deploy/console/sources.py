@@ -1,6 +1,6 @@
 """Which program this is, by what its Python files hold: two checkouts of one version may differ.
 
-Standard library only: a cluster's worker imports it before anything else is asked of it.
+Standard library only: every worker of a cluster imports it.
 """
 
 from __future__ import annotations

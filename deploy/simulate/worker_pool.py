@@ -31,6 +31,8 @@ READY_TIMEOUT_S: Final = 60.0
 START_ATTEMPTS: Final = 3
 """So many starts that fail one after the other end it all: it is not for a run that they do."""
 END_TIMEOUT_S: Final = 2.0
+IDLE_S: Final = 60.0
+"""Time without a run after which a worker ends. It is replaced when it is needed again."""
 _READY: Final = "ready"
 DEATHS_MAX: Final = 2
 """A run whose process died so often is not driven again. The first death may have been another's doing, such
@@ -117,7 +119,7 @@ def _work(connection: Connection, work: Work[Any]) -> None:
         threading.Thread(target=end_with_parent, daemon=True).start()
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, Abandoned):
         connection.send(_READY)
-        while True:
+        while connection.poll(IDLE_S):
             try:
                 connection.send(work.execute(connection.recv(), go_on))
             except Refused as refused:

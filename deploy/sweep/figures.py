@@ -6,7 +6,7 @@ every cell has its value written in it, and what has no value is hatched and say
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -24,9 +24,7 @@ from matplotlib.patches import Rectangle
 
 from handfast.agent.formation.points import Floats
 from handfast.deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure, write
-from handfast.deploy.sweep.drawn_figure import runs_at_their_draws
 from handfast.deploy.sweep.plan import Plan
-from handfast.deploy.sweep.run import Row
 from handfast.deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
 from handfast.deploy.sweep.varied import Axis
 
@@ -34,7 +32,6 @@ PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""
 LABEL_MAX: Final = 18
 CURVES: Final = "curves"
-DRAWN: Final = "drawn"
 _MAP: Final = "cividis"
 _HATCHED: Final = "#EDEDED"
 _MARGIN: Final = RED
@@ -89,7 +86,6 @@ def write_sweep_figures(
     cells: Sequence[Cell],
     margin: int | None,
     found: Sequence[Margin],
-    rows: Mapping[int, Row],
 ) -> tuple[list[Path], str]:
     """Draws the sweep into `folder`: PNGs, and a sentence on what they leave out (mostly empty).
 
@@ -99,7 +95,7 @@ def write_sweep_figures(
         RecordingError: one cannot be written.
     """
     paths = []
-    for name, draw in drawings(plan, cells, margin, found, rows).items():
+    for name, draw in drawings(plan, cells, margin, found).items():
         paths.append(folder / f"{name}.png")
         write(paths[-1], draw)
     grid = _Grid(plan, margin) if len(plan.axes) > 2 else None
@@ -117,18 +113,14 @@ def drawings(
     cells: Sequence[Cell],
     margin: int | None,
     found: Sequence[Margin],
-    rows: Mapping[int, Row],
 ) -> dict[str, Callable[[], Figure]]:
     """What makes each picture of a sweep, by its name; arguments as `write_sweep_figures`'s."""
-    made: dict[str, Callable[[], Figure]] = {}
-    if plan.ranges:
-        made[DRAWN] = partial(runs_at_their_draws, plan, rows)
     if not plan.axes:
-        return made
+        return {}
     if len(plan.axes) == 1:
-        return made | {CURVES: partial(curves, plan, cells, found)}
+        return {CURVES: partial(curves, plan, cells, found)}
     grid = _Grid(plan, margin)
-    return made | {
+    return {
         each.name: partial(heat_maps, each, grid, cells, found)
         for each in (*map(_heat_map, shown()), _SHARE_SAFE)
     }

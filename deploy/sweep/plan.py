@@ -13,7 +13,7 @@ from hashlib import blake2b
 from itertools import chain, product
 from math import prod, sqrt
 from re import compile as pattern
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from handfast.agent.common import random_streams
 from handfast.agent.common.reader import Problem
@@ -23,6 +23,9 @@ from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.simulate.random_starts import random_fleet
 from handfast.deploy.sweep.varied import Axis, Range, SweepError, entry_of, parse_over
+
+if TYPE_CHECKING:
+    from handfast.deploy.check.finding import Finding
 
 RUNS_MAX: Final = 1_000_000
 RANGES_MAX: Final = 6
@@ -250,6 +253,30 @@ def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
         tuple(texts),
         tuple(extremes),
     )
+
+
+def check_cells(plan: Plan) -> list[tuple[Finding, list[int]]]:
+    """Return the errors and warnings of `check`, each with the cells in which it was found.
+
+    A finding that differs between cells only in its numbers is returned once.
+
+    Raises:
+        SweepError: the square of random starts has no room.
+    """
+    from handfast.deploy.check.check import check
+
+    found: dict[tuple[str, str], tuple[Finding, list[int]]] = {}
+    for cell in range(len(plan.cells)):
+        try:
+            fleets = plan.samples(cell)
+        except ValueError as error:
+            raise SweepError(f"random starts: {error}") from None
+        for finding in chain.from_iterable(map(check, fleets)):
+            if finding.level in ("error", "warning"):
+                cells = found.setdefault((finding.level, finding.place), (finding, []))[1]
+                if cell not in cells[-1:]:
+                    cells.append(cell)
+    return list(found.values())
 
 
 def _settled(question: Question, *, recorded: bool) -> tuple[Range, ...]:

@@ -37,7 +37,6 @@ class Row:
             there (`deploy.verdict.tracking`); None when not known.
         numbers: by the names of `deploy.verdict.metrics.columns`, those that are known.
         wall_s: real time that it took.
-        cpu_s: processor time that it took; 0 where it was not driven just now: no folder keeps it.
     """
 
     run: int
@@ -48,7 +47,6 @@ class Row:
     settled: bool | None = None
     numbers: Mapping[str, float] = field(default_factory=dict)
     wall_s: float = 0.0
-    cpu_s: float = field(default=0.0, compare=False)
 
     @property
     def good(self) -> bool:
@@ -75,7 +73,7 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
     Raises:
         Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
     """
-    begun, cpu_s = time.perf_counter(), time.process_time()
+    begun = time.perf_counter()
     try:
         fleet = plan.fleet(run)
         result = RunResult(judged.drive(fleet, go_on))
@@ -90,7 +88,6 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
             result.analysis.settling_s is not None and not result.tracking.reasons,
             {name: float(value) for name, value in numbers.items() if value is not None},
             time.perf_counter() - begun,
-            time.process_time() - cpu_s,
         )
     except Abandoned:
         raise

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, floor, inf, isfinite, sqrt
+from decimal import ROUND_CEILING, Context
+from math import ceil, floor, inf, isfinite, lgamma, log, log1p, sqrt
 from typing import Any, Final
+
+import numpy as np
 
 from handfast.deploy.sweep.plan import Plan
 from handfast.deploy.sweep.run import CRASHED, TIMED_OUT, Row
@@ -40,6 +43,36 @@ class Share:
         return max(0.0, middle - half), min(1.0, middle + half)
 
 
+def upper_bound(count: int, of: int) -> float:
+    """Return the one-sided 95 % upper bound of a share of which `count` were seen (Clopper, Pearson 1934).
+
+    It is the share with which `count` or fewer have a probability of 5 %: about 3 / n for none of n.
+    """
+    if count >= of:
+        return 1.0
+    k = np.arange(count + 1)
+    ways = np.array([lgamma(of + 1.0) - lgamma(i + 1.0) - lgamma(of - i + 1.0) for i in k.tolist()])
+    low, high = count / of, 1.0
+    for _ in range(60):  # bisection, to the last bit
+        share = 0.5 * (low + high)
+        if share in (low, high):
+            break
+        seen = float(np.exp(ways + k * log(share) + (of - k) * log1p(-share)).sum())
+        low, high = (share, high) if seen > 0.05 else (low, share)
+    return high
+
+
+def bound_line(cell: Cell) -> str:
+    """Say how many runs of a cell were unsafe, and what share of such runs may be."""
+    unsafe = cell.safe.of - cell.safe.count - cell.unfinished
+    unknown = f" and {cell.unfinished} not finished, counted as unsafe" if cell.unfinished else ""
+    up = Context(prec=3, rounding=ROUND_CEILING).create_decimal_from_float(100.0 * cell.unsafe_upper)
+    return (
+        f"{cell.runs} run{'s' * (cell.runs != 1)}, {unsafe} unsafe{unknown}: at most {up.normalize():f} % of "
+        "such runs are unsafe (95 % confidence, Clopper-Pearson)"
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Cell:
     """One cell of the grid.
@@ -59,6 +92,12 @@ class Cell:
     good: int
     least_m: float | None
     quantiles: Mapping[str, Mapping[str, float | None]]
+
+    @property
+    def unsafe_upper(self) -> float:
+        """Upper bound, 0..1, of the share of such runs that are unsafe, with 95 % confidence. Runs that did
+        not finish count as unsafe."""
+        return upper_bound(self.runs - self.safe.count, self.runs)
 
     @property
     def trouble(self) -> str:
@@ -226,6 +265,7 @@ def summary_table(plan: Plan, cells: Sequence[Cell]) -> list[list[str]]:
     heading = [axis.field for axis in plan.axes] + ["runs", "unfinished"]
     for name in ("safe", "settled"):
         heading += [name, f"{name}_share", f"{name}_low", f"{name}_high"]
+    heading += ["unsafe_share_upper_95"]
     heading += [f"{CLOSEST}_least"]
     heading += [f"{name}_{label}" for name in summarised() for label in QUANTILES]
     table = [heading]
@@ -233,7 +273,7 @@ def summary_table(plan: Plan, cells: Sequence[Cell]) -> list[list[str]]:
         row = [*cell.values, str(cell.runs), str(cell.unfinished)]
         for share in (cell.safe, cell.settled):
             row += [str(share.count), *(_text(value) for value in (share.share, *share.interval))]
-        row += [_text(cell.least_m)]
+        row += [_text(cell.unsafe_upper), _text(cell.least_m)]
         row += [_text(cell.quantiles[name][label]) for name in summarised() for label in QUANTILES]
         table.append(row)
     return table
@@ -260,8 +300,9 @@ def summary_json(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> 
                 "fields": dict(zip(fields, cell.values, strict=True)),
                 "runs": cell.runs,
                 "unfinished": cell.unfinished,
-                "safe": share_json(cell.safe),
-                "settled": share_json(cell.settled),
+                "safe": _share_json(cell.safe),
+                "unsafe_share_upper_95": _rounded(cell.unsafe_upper),
+                "settled": _share_json(cell.settled),
                 "least_distance_m": _rounded(cell.least_m),
                 **{
                     name: {label: _rounded(value) for label, value in cell.quantiles[name].items()}
@@ -273,8 +314,7 @@ def summary_json(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> 
     }
 
 
-def share_json(share: Share) -> dict[str, Any]:
-    """A share as ``summary.json`` has it."""
+def _share_json(share: Share) -> dict[str, Any]:
     low, high = share.interval
     return {
         "count": share.count,

@@ -13,7 +13,7 @@ from typing import Any, Final
 import pytest
 import tomli_w
 
-from handfast.deploy.console.data_files import FLEETS, ROBOT_REQUIREMENTS
+from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.hosts.artifacts.bundle import Platform, bundle_for
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
@@ -27,12 +27,12 @@ _ABOUT: Final = (
 )
 
 
-def fetch_wheels(host: Host, cache: Path, requirements: Path = ROBOT_REQUIREMENTS) -> None:
+def fetch_wheels(host: Host, cache: Path) -> None:
     """Has the operator's cache hold what that host needs: the operator's network leads nowhere else."""
     told = host.run(["python3", "-c", _ABOUT], check=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(cache))
-        bundle_for(Platform.of(json.loads(told.stdout)), b"", requirements)
+        bundle_for(Platform.of(json.loads(told.stdout)), b"")
 
 
 def delta(hosts: Sequence[Host], **tables: dict[str, Any]) -> dict[str, Any]:

@@ -7,30 +7,27 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import FleetError
 from handfast.deploy.console.arguments import (
-    accepts_new_keys,
     change_arguments,
-    cluster_wait_s,
     describe,
-    engine_arguments,
     fleet_path,
     fleet_text,
     overrides,
     place_for,
-    refuse_jobs,
     scenario_path,
 )
 
 if TYPE_CHECKING:
-    from handfast.deploy.simulate.worker_pool import Work
+    from handfast.deploy.cluster.campaign import Resources
+    from handfast.deploy.console.interrupt import Interrupt
     from handfast.deploy.sweep.folder import SweepFolder
     from handfast.deploy.sweep.plan import Plan, Question
-    from handfast.deploy.sweep.run import Row
+    from handfast.deploy.sweep.summary import Cell, Margin
 
 TIMEOUT: Final = "10min"
 ROWS_MAX: Final = 40
@@ -68,7 +65,18 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         help="every repeat starts somewhere else, in a square of this side (default: 4m for six robots)",
     )
     sub.add_argument("--margin", metavar="A.B", help="field whose margin is found (default: faults.delay)")
-    engine_arguments(sub, "runs")
+    sub.add_argument("--jobs", type=int, metavar="N", help="runs at a time (default: the number of cores)")
+    sub.add_argument(
+        "--cluster",
+        metavar="WHERE",
+        help="drive on the workers of a Dask scheduler: tcp://HOST:PORT, tls://HOST:PORT or its "
+        "scheduler file",
+    )
+    sub.add_argument(
+        "--cluster-wait",
+        metavar="TIME",
+        help="time to wait while the scheduler has no worker (default: 1min)",
+    )
     sub.add_argument(
         "--timeout",
         default=TIMEOUT,
@@ -89,27 +97,22 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
-    from handfast.deploy.cluster.choose import check_cluster
-    from handfast.deploy.cluster.same_program import program_digest
+    from handfast.deploy.cluster.campaign import Resources
+    from handfast.deploy.cluster.program import program_digest
     from handfast.deploy.console.interrupt import NOT_STARTED, Interrupt
+    from handfast.deploy.hosts.artifacts.plugin_files import plugins_of
     from handfast.deploy.inventory.folders import out_folder
-    from handfast.deploy.simulate.worker_pool import EngineLost, cores
+    from handfast.deploy.simulate.worker_pool import EngineLost
     from handfast.deploy.sweep.folder import SweepFolder, read_digest
     from handfast.deploy.sweep.plan import make_plan
     from handfast.deploy.sweep.summary import margin_axis
-    from handfast.deploy.sweep.varied import SweepError
 
     interrupt = Interrupt()
     with interrupt.caught():
         with interrupt.answered(NOT_STARTED, raises=True):
-            jobs = cores() if options.jobs is None else options.jobs
-            if jobs < 1:
-                raise SweepError(f"--jobs must be at least 1, got {jobs}")
-            refuse_jobs(options)
-            wait_s = cluster_wait_s(options)
-            accepts_new_keys(options)
-            check_cluster(options.cluster)
+            wait_s = options.cluster_wait and _quantity(options.cluster_wait, "s", "--cluster-wait", '"2h"')
             timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
+            resources = Resources(options.cluster, options.jobs, wait_s, timeout_s)
             again, question = _question(options)
             lacking: FleetError | None = None
             try:
@@ -122,7 +125,7 @@ def sweep(options: argparse.Namespace) -> int:
             sources = ""
             if lacking is None:
                 _refuse_errors(options, plan)
-                sources = program_digest(plan.cells)
+                sources = program_digest(plugins_of(plan.cells))
             path = again or out_folder(options.out, plan.cells[0].fleet.name, "sweeps")
             folder = SweepFolder(path, question, plan, sources)
         with folder:
@@ -132,24 +135,27 @@ def sweep(options: argparse.Namespace) -> int:
                 raise lacking
             lost = ""
             try:
-                _drive(folder, sources, jobs, timeout_s, wait_s, interrupt, options)
+                _drive(folder, resources, interrupt, options)
             except EngineLost as error:
                 lost = str(error)
             if folder.missing:
-                done = plan.runs - len(folder.missing)
-                again_by = f"handfast sweep {path}" + f" --cluster {options.cluster}" * bool(options.cluster)
-                again_by += f" --cluster-wait {options.cluster_wait}" * bool(options.cluster_wait)
-                why = f"{lost}: " if lost else ""
-                are = "is" if plan.runs == 1 else "are"
-                print(
-                    f"{why}{done} of {_counted(plan.runs, 'run')} {are} done and kept; "
-                    f"go on with: {again_by}",
-                    file=sys.stderr,
-                )
-                return FAILED if lost else INTERRUPTED
+                return _cut_short(folder, lost, options)
             folder.complete()
             _conclude(folder, margin)
     return PASSED
+
+
+def _cut_short(folder: SweepFolder, lost: str, options: argparse.Namespace) -> int:
+    """Say how to go on with a sweep whose runs are not all done; returns the exit status."""
+    given = {"--cluster": options.cluster, "--cluster-wait": options.cluster_wait}
+    again = "".join(f" {option} {value}" for option, value in given.items() if value)
+    runs = folder.plan.runs
+    print(
+        f"{lost + ': ' if lost else ''}{runs - len(folder.missing)} of {_counted(runs, 'run')} "
+        f"{'is' if runs == 1 else 'are'} done and kept; go on with: handfast sweep {folder.path}{again}",
+        file=sys.stderr,
+    )
+    return FAILED if lost else INTERRUPTED
 
 
 def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
@@ -195,29 +201,19 @@ def _quantity(text: str, unit: str, option: str, example: str) -> float:
 
 
 def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
-    """Says what `check` finds wrong in any cell; errors end the command unless an option says otherwise."""
-    from handfast.deploy.check.check import check
+    """Print what `check` finds in the cells. Errors end the command unless an option says otherwise."""
+    from handfast.deploy.sweep.plan import check_cells
     from handfast.deploy.sweep.varied import SweepError
 
-    found: dict[tuple[str, str], tuple[str, list[int]]] = {}
-    for cell in range(len(plan.cells)):
-        try:
-            fleets = plan.samples(cell)
-        except ValueError as error:
-            raise SweepError(f"--random-starts: {error}") from None
-        for finding in {str(each): each for fleet in fleets for each in check(fleet)}.values():
-            if finding.level == "error" or (finding.level == "warning" and not options.quiet):
-                # The same thing in many cells, with other numbers in it, is said once.
-                cells = found.setdefault((finding.level, finding.place), (str(finding), []))[1]
-                if cell not in cells[-1:]:
-                    cells.append(cell)
-    for text, cells in list(found.values())[:FINDINGS_MAX]:
+    found = check_cells(plan)
+    shown = [each for each in found if each[0].level == "error" or not options.quiet]
+    for finding, cells in shown[:FINDINGS_MAX]:
         more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
         everywhere = len(cells) == len(plan.cells)
-        print(text if everywhere else f"{text} ({plan.name(cells[0])}{more})", file=sys.stderr)
-    if len(found) > FINDINGS_MAX:
-        print(f"... and {len(found) - FINDINGS_MAX} more", file=sys.stderr)
-    if options.check and any(level == "error" for level, _ in found):
+        print(finding, "" if everywhere else f"({plan.name(cells[0])}{more})", file=sys.stderr)
+    if len(shown) > FINDINGS_MAX:
+        print(f"... and {len(shown) - FINDINGS_MAX} more", file=sys.stderr)
+    if options.check and any(finding.level == "error" for finding, _ in found):
         raise SweepError(
             f"{options.fleet}: not started because of the errors above (--no-check drives all the same)"
         )
@@ -250,27 +246,21 @@ def _counted(number: int, what: str) -> str:
 
 
 def _drive(
-    folder: SweepFolder,
-    sources: str,
-    jobs: int,
-    timeout_s: float,
-    wait_s: float | None,
-    interrupt: Any,
-    options: argparse.Namespace,
+    folder: SweepFolder, resources: Resources, interrupt: Interrupt, options: argparse.Namespace
 ) -> None:
-    """Drives what is missing, until all is done or somebody says stop."""
-    from handfast.deploy.cluster.choose import make_engine
-    from handfast.deploy.cluster.same_program import SameProgram
+    """Drive the missing runs until all are done or Ctrl-C is pressed."""
+    from handfast.deploy.cluster.program import identity
     from handfast.deploy.console.progress import make_progress
+    from handfast.deploy.hosts.artifacts.plugin_files import plugins_of
     from handfast.deploy.sweep.run import Runs
 
-    missing = folder.missing
+    missing, plan = folder.missing, folder.plan
     if not missing:
         return
-    plan, done = folder.plan, folder.plan.runs - len(missing)
+    done = plan.runs - len(missing)
     if not options.quiet:
         kept = f", {done} of them done already" if done else ""
-        where = f"{jobs} at a time" if options.cluster is None else f"on {options.cluster}"
+        where = f"{resources.jobs} at a time" if options.cluster is None else f"on {options.cluster}"
         cells = f"{_counted(len(plan.cells), 'cell')}, {plan.repeat} of each{kept}"
         print(f"{_counted(plan.runs, 'run')} ({cells}), {where}, into {folder.path}", file=sys.stderr)
     progress = make_progress(
@@ -281,19 +271,9 @@ def _drive(
         trouble="unsafe or not settled",
         troubled=sum(not row.good for row in folder.rows.values()),
     )
-
-    def go_on() -> bool:
-        return bool(interrupt.count == 0)
-
-    runs: Work[Row] = Runs(plan)
-    if options.cluster is None:  # of a cluster's workers each is looked at before it gets a run
-        runs = SameProgram(runs, sources, plan.cells)
-    engine = make_engine(
-        options.cluster, runs, jobs, timeout_s, progress, plan.cells, go_on=go_on, wait_s=wait_s,
-        accept_new=options.accept_new_host_keys,
-    )  # fmt: skip
-    with progress, engine:
-        for row in engine.results(missing, go_on):
+    plugins = plugins_of(plan.cells)
+    with progress, resources.engine(Runs(plan), identity(plugins), plugins, progress.say) as engine:
+        for row in engine.results(missing, lambda: interrupt.count == 0):
             folder.add(row)
             progress.add(trouble=not row.good)
 
@@ -302,53 +282,64 @@ def _drive(
 
 
 def _conclude(folder: SweepFolder, margin: int | None) -> None:
-    """Writes summary and pictures, and says what was found."""
-    from handfast.deploy.sweep.claim import claim_json, claim_lines, cost_line, make_claim
+    """Write the summary and the pictures, and print what was found."""
     from handfast.deploy.sweep.figures import write_sweep_figures
     from handfast.deploy.sweep.folder import csv_bytes, replace_file
-    from handfast.deploy.sweep.summary import margins, shown, summarise, summary_json, summary_table
+    from handfast.deploy.sweep.summary import bound_line, margins, summarise, summary_json, summary_table
     from handfast.deploy.sweep.varied import SweepError
-    from handfast.deploy.verdict.reasons import of_fault
 
     plan = folder.plan
     cells = summarise(plan, folder.rows)
     found = margins(plan, cells, margin) if margin is not None else []
-    claim = make_claim(plan, folder.rows) if plan.ranges else None
-    whole = {"all": claim_json(claim)} if claim is not None else {}
     try:
         replace_file(folder.path / "summary.csv", csv_bytes(summary_table(plan, cells)))
-        text = json.dumps(summary_json(plan, cells, found) | whole, indent=2, allow_nan=False) + "\n"
+        text = json.dumps(summary_json(plan, cells, found), indent=2, allow_nan=False) + "\n"
         replace_file(folder.path / "summary.json", text.encode())
     except OSError as error:
         raise SweepError(f"cannot write the summary into {folder.path}: {error.strerror or error}") from None
-    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found, folder.rows)
+    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found)
     if len(cells) <= ROWS_MAX:
-        each = shown()
-        heads = [f"{one.picture.heading} {one.picture.unit}" for one in each]
-        rows = [[*(axis.field for axis in plan.axes), "safe", "settled", *heads]]
-        for cell in cells:
-            values = [(one, one.value(cell)) for one in each]
-            shares = [f"{share.count}/{share.of}" for share in (cell.safe, cell.settled)]
-            numbers = ["-" if value is None else one.text(value) for one, value in values]
-            rows.append([*cell.values, *shares, *numbers])
-        print(_aligned(rows))
-    driven = [folder.rows[run] for run in range(plan.runs)]
-    for what, found_in in (
+        _print_table(plan, cells)
+    _print_troubles(folder)
+    if len(cells) == 1:
+        print(bound_line(cells[0]))
+    _print_margins(found)
+    print("\n".join(filter(None, (left_out, str(folder.path)))))
+
+
+def _print_table(plan: Plan, cells: Sequence[Cell]) -> None:
+    """Print a line for each cell."""
+    from handfast.deploy.sweep.summary import shown
+
+    each = shown()
+    heads = [f"{one.picture.heading} {one.picture.unit}" for one in each]
+    rows = [[*(axis.field for axis in plan.axes), "safe", "settled", *heads]]
+    for cell in cells:
+        values = [(one, one.value(cell)) for one in each]
+        shares = [f"{share.count}/{share.of}" for share in (cell.safe, cell.settled)]
+        numbers = ["-" if value is None else one.text(value) for one, value in values]
+        rows.append([*cell.values, *shares, *numbers])
+    print(_aligned(rows))
+
+
+def _print_troubles(folder: SweepFolder) -> None:
+    """Print how many runs were not finished or ended in fault, with the first of each."""
+    from handfast.deploy.verdict.reasons import of_fault
+
+    driven = [folder.rows[run] for run in range(folder.plan.runs)]
+    for what, rows in (
         ("were not finished", [row for row in driven if row.settled is None]),
         ("ended with robots in fault", [row for row in driven if of_fault(row.reason)]),
     ):
-        if found_in:
-            first = found_in[0]
-            print(f"{len(found_in)} of {plan.runs} runs {what}; run {first.run}: {printable(first.reason)}")
-    if claim is not None:
-        print("\n".join(filter(None, [*claim_lines(claim), cost_line(plan, driven)])))
-    for margin_found in found[:ROWS_MAX]:
-        print(f"margin of {margin_found}")
+        if rows:
+            print(f"{len(rows)} of {len(driven)} runs {what}; run {rows[0].run}: {printable(rows[0].reason)}")
+
+
+def _print_margins(found: Sequence[Margin]) -> None:
+    for margin in found[:ROWS_MAX]:
+        print(f"margin of {margin}")
     if len(found) > ROWS_MAX:
         print(f"... and {len(found) - ROWS_MAX} more margins in summary.json")
-    if left_out:
-        print(left_out)
-    print(folder.path)
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> str:

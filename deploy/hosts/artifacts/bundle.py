@@ -3,10 +3,9 @@
 Where this machine's handfast is compiled, one of the wheels is that (`compiled_wheel`), for those computers
 that can run it.
 
-The others are those that ``robot_requirements.txt`` locks (``worker_requirements.txt`` for a campaign's
-worker), by version and hash, for the computer's own processor, C library and Python. They come from where
-this machine's pip takes packages from, once: a cache keeps them, so that a fleet can be brought up again in a
-field.
+The others are those that ``robot_requirements.txt`` locks, by version and hash, for the computer's own
+processor, C library and Python. They come from where this machine's pip takes packages from, once: a cache
+keeps them, so that a fleet can be brought up again in a field.
 """
 
 from __future__ import annotations
@@ -118,23 +117,14 @@ class Bundle:
         return "-".join((handfast_version(), *digests))
 
 
-def bundle_for(
-    platform: Platform,
-    program: bytes,
-    requirements: Path = ROBOT_REQUIREMENTS,
-    packages: tuple[str, ...] = PACKAGES,
-) -> Bundle:
+def bundle_for(platform: Platform, program: bytes) -> Bundle:
     """The bundle for a computer; fetches the wheels when they are not here yet. Threads may ask at once: one
     fetches, and where it cannot, all others fail with the same reason.
-
-    Args:
-        requirements: locked packages, whose wheels they are.
-        packages: those of ours that are in the program.
 
     Raises:
         BundleError: they cannot be had.
     """
-    text = requirements.read_text(encoding="utf-8")
+    text = ROBOT_REQUIREMENTS.read_text(encoding="utf-8")
     folder = cache_folder("bundles") / hashlib.sha256(f"{text}{platform}".encode()).hexdigest()[:16]
     with _guard:
         lock = _locks.setdefault(folder, threading.Lock())
@@ -144,14 +134,14 @@ def bundle_for(
         try:
             wheels = _wheels(folder)
             if wheels is None:
-                wheels = _fetch(platform, folder, requirements)
+                wheels = _fetch(platform, folder)
         except BundleError as error:
             _failed[folder] = str(error)
             raise
-        return Bundle(folder, wheels | _compiled(platform, folder, packages), program)
+        return Bundle(folder, wheels | _compiled(platform, folder), program)
 
 
-def _compiled(platform: Platform, folder: Path, packages: tuple[str, ...]) -> dict[str, str]:
+def _compiled(platform: Platform, folder: Path) -> dict[str, str]:
     """The wheel of what is compiled here, if that is and the computer can run it; by its name, its SHA-256.
 
     Raises:
@@ -159,7 +149,7 @@ def _compiled(platform: Platform, folder: Path, packages: tuple[str, ...]) -> di
     """
     if not runs_here(platform.python, platform.machine, platform.libc):
         return {}
-    modules = compiled_modules(packages)
+    modules = compiled_modules(PACKAGES)
     if not modules:
         return {}
     name, data = wheel(modules)
@@ -191,14 +181,14 @@ def _wheels(folder: Path) -> dict[str, str] | None:
     return wheels if all((folder / name).is_file() for name in wheels) else None
 
 
-def _fetch(platform: Platform, folder: Path, requirements: Path) -> dict[str, str]:
+def _fetch(platform: Platform, folder: Path) -> dict[str, str]:
     """Wheels as `_wheels`. The folder comes to its place whole; another command may have been quicker."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as hidden:
             fetched = Path(hidden) / "bundle"
             fetched.mkdir()
-            _download(platform, fetched, requirements)
+            _download(platform, fetched)
             digests = {
                 path.name: hashlib.sha256(path.read_bytes()).hexdigest()
                 for path in sorted(fetched.glob("*.whl"))
@@ -220,14 +210,14 @@ def _fetch(platform: Platform, folder: Path, requirements: Path) -> dict[str, st
     return theirs
 
 
-def _download(platform: Platform, folder: Path, requirements: Path) -> None:
+def _download(platform: Platform, folder: Path) -> None:
     words = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input"]
     words += ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--dest", str(folder)]
     words += ["--implementation", "cp", "--python-version", f"{platform.python[0]}.{platform.python[1]}"]
     for tag in platform.tags:
         words += ["--platform", tag]
     process = subprocess.Popen(
-        [*words, "-r", str(requirements)],
+        [*words, "-r", str(ROBOT_REQUIREMENTS)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -253,27 +243,26 @@ def _download(platform: Platform, folder: Path, requirements: Path) -> None:
         raise BundleError(f"no wheels for {platform}: {said.removeprefix('ERROR: ')}")
 
 
-def program_archive(modules: tuple[str, ...] = (), packages: tuple[str, ...] = PACKAGES) -> bytes:
+def program_archive(modules: tuple[str, ...] = ()) -> bytes:
     """Our packages as a zip archive; the same bytes for the same files, whichever zlib is here.
 
     Args:
         modules: of plugins, whose files go with them.
-        packages: those of ours that go.
 
     Raises:
         handfast.deploy.hosts.artifacts.plugin_files.PluginFilesError: a plugin cannot be sent.
     """
     memory = BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
-        for name, data in _contents(modules, packages):
+        for name, data in _contents(modules):
             entry = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, data)
     return memory.getvalue()
 
 
-def _contents(modules: tuple[str, ...], packages: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
-    for package in packages:
+def _contents(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
+    for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*")):
             if path.is_file() and path.suffix not in (".pyc", ".so"):  # those are `compiled_wheel`'s
                 yield path.relative_to(ROOT).as_posix(), path.read_bytes()

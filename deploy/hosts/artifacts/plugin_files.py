@@ -24,7 +24,7 @@ def plugin_modules(fleet: Fleet) -> tuple[str, ...]:
     Raises:
         PluginFilesError: one of them is known in this process alone.
     """
-    used = _references(fleet)
+    used = plugins_of([fleet])
     for reference in used:
         if ":" not in reference:
             raise PluginFilesError(
@@ -34,12 +34,11 @@ def plugin_modules(fleet: Fleet) -> tuple[str, ...]:
     return tuple(sorted({reference.partition(":")[0] for reference in used}))
 
 
-def files_of_plugins(fleets: Iterable[Fleet]) -> tuple[dict[str, bytes], list[PluginFilesError]]:
-    """The files of all plugins of these fleets, as of `plugin_files`, and of whom there are none, why.
+def files_of_plugins(references: Iterable[str]) -> tuple[dict[str, bytes], list[PluginFilesError]]:
+    """Return the files of these plugins, as of `plugin_files`, and the reasons why a plugin has none.
 
-    Those that are known in this process alone are left out.
+    Plugins that are known in this process alone are left out.
     """
-    references = set[str]().union(*map(_references, fleets))
     files: dict[str, bytes] = {}
     lacking: list[PluginFilesError] = []
     for module in sorted({each.partition(":")[0] for each in references if ":" in each}):
@@ -81,10 +80,14 @@ def plugin_files(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
             yield name, path.read_bytes()
 
 
-def _references(fleet: Fleet) -> set[str]:
-    """The plugins that a fleet names, as its file gives them."""
-    laws = set() if fleet.control.law is None else {fleet.control.law}
-    return laws | {robot.plant for robot in fleet.robots if robot.kind.is_plugin}
+def plugins_of(fleets: Iterable[Fleet]) -> tuple[str, ...]:
+    """Return the plugins that fleets name, as their files give them."""
+    found: set[str] = set()
+    for fleet in fleets:
+        found |= {robot.plant for robot in fleet.robots if robot.kind.is_plugin}
+        if fleet.control.law is not None:
+            found.add(fleet.control.law)
+    return tuple(sorted(found))
 
 
 def _whole(module: str) -> tuple[Path, Path]:

@@ -59,32 +59,14 @@ def test_what_every_run_draws_is_a_column() -> None:
     delays = drawn.columns["faults.delay"]
     assert len(set(delays.tolist())) == 3
     assert ((delays >= 0.0) & (delays <= 1.4)).all()
-    assert isinstance(drawn.plot(), matplotlib.figure.Figure)
-    with pytest.raises(Error, match="workers are this machine's processes"):
-        sweep("pair", workers=2, cluster="tcp://there:8786")
-    with pytest.raises(Error, match="must be tcp://HOST:PORT"):
-        sweep("pair", cluster="there")
-    with pytest.raises(Error, match="cluster_wait is of a Dask scheduler that cluster names"):
-        sweep("pair", cluster_wait=600.0)
-    with pytest.raises(Error, match=r"cluster_wait must be a time above 0 \(s\), got -1"):
-        sweep("pair", cluster="tcp://there:1", cluster_wait=-1)
-    for cluster in (None, "tcp://there:1"):
-        with pytest.raises(Error, match="accept_new_host_keys is of the hosts that cluster='ssh:FLEET'"):
-            sweep("pair", cluster=cluster, accept_new_host_keys=True)
-
-
-def test_keys_of_hosts_are_taken_where_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    class AskedError(Exception):
-        pass
-
-    def engine(*given: object, **named: object) -> None:
-        raise AskedError(given[0], named["accept_new"])
-
-    monkeypatch.setattr("handfast.deploy.api.sweep.make_engine", engine)
-    for accept in (False, True):
-        with pytest.raises(AskedError) as asked:
-            sweep("pair", cluster="ssh:there.toml", accept_new_host_keys=accept)
-        assert asked.value.args == ("ssh:there.toml", accept)
+    for arguments, says in (
+        ({"workers": 2, "cluster": "tcp://there:8786"}, r"leave out --jobs \(workers in Python\)"),
+        ({"cluster": "there"}, "must be tcp://HOST:PORT"),
+        ({"cluster_wait": 600.0}, r"\(cluster_wait in Python\) needs a cluster"),
+        ({"cluster": "tcp://there:1", "cluster_wait": -1}, "cluster_wait must be a number above 0, got -1"),
+    ):
+        with pytest.raises(Error, match=says):
+            sweep("pair", **arguments)
 
 
 def test_pictures_are_figures(found: Sweep) -> None:
@@ -117,7 +99,7 @@ def test_nothing_varied_is_one_cell(over: dict[str, Any] | None) -> None:
     one = sweep("pair", over, duration=1, seeds=2, workers=1)
     assert (one.fields, one.shape, one.metric("passed").shape) == ((), (), (2,))
     assert repr(one).startswith("<Sweep over nothing: 2 runs, ")
-    with pytest.raises(Error, match=r"^nothing is varied: there is nothing to plot$"):
+    with pytest.raises(Error, match=r"^no field is varied over values: there is nothing to plot$"):
         one.plot()
 
 
@@ -137,9 +119,9 @@ def test_nothing_varied_is_one_cell(over: dict[str, Any] | None) -> None:
             {"over": {"control.c2": [1.0, 2000.0]}},
             r"^not started .* with control\.c2=2000\.0, fleet\.rate_hz: ",
         ),
-        ({"random_starts": "big"}, r"^random_starts must be True, False or the side .*, got 'big'$"),
-        ({"random_starts": -1}, r"^random_starts must be True, False or the side .*, got -1$"),
-        ({"random_starts": 0.01}, "^random_starts: no room for 2 robots"),
+        ({"random_starts": "big"}, r"^random_starts must be a number above 0, got 'big'$"),
+        ({"random_starts": -1}, r"^random_starts must be a number above 0, got -1$"),
+        ({"random_starts": 0.01}, "^random starts: no room for 2 robots"),
     ],
 )
 def test_nonsense_is_said_in_one_error(arguments: dict[str, Any], says: str) -> None:

@@ -1,349 +1,216 @@
-"""Which worker is given which run, and what the loss of one means; without a scheduler."""
+"""Runs as Dask tasks, with a scheduler that is made up."""
 
 from __future__ import annotations
 
-import asyncio
-import gc
+import pickle
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
-import dask
+import distributed
 import pytest
-from distributed.client import AllExit, FutureCancelledError
 
+from handfast.agent.common.errors import Error
 from handfast.deploy.cluster import engine
-from handfast.deploy.cluster.connection import ClusterError, GivenUp
-from handfast.deploy.cluster.engine import AHEAD, DEMAND_MAX, NOBODY_HAS, Cluster
-from handfast.deploy.cluster.on_worker import UnknownCampaign
-from handfast.deploy.cluster.sent import Unfinished, Unreadable
-from handfast.deploy.cluster.watch import Seen, There
-from handfast.deploy.simulate.worker_pool import EngineLost
+from handfast.deploy.cluster.engine import Campaign, Cluster, SentWork, Unfinished
+from handfast.deploy.cluster.program import ClusterError, identity
+from handfast.deploy.simulate.worker_pool import Abandoned, EngineLost, PoolError, Refused
 
 
-class Numbers:
-    """Work of which only `unfinished` is asked."""
+class Doubles:
+    def execute(self, number: int, _go_on: Callable[[], bool]) -> int:
+        return 2 * number
 
-    def execute(self, number: int, go_on: Callable[[], bool]) -> str:
-        raise AssertionError(number)
+    def unfinished(self, number: int, reason: str, _wall_s: float, *, timed_out: bool) -> str:
+        return f"{number} {'timed out' if timed_out else 'crashed'}: {reason}"
 
-    def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> str:
-        return f"{number}: {reason}"
+
+class Scheduler:
+    """Stands in for `distributed.Client`: `answers` holds what a run gives or raises, by its number.
+
+    A run without an answer gives its double; one whose answer is None never ends.
+    """
+
+    def __init__(self) -> None:
+        self.answers: dict[int, object] = {}
+        self.workers: dict[str, object] = {"tcp://one:1": identity()}
+        self.submitted: list[int] = []
+        self.most = self.left = 0
+        self.closed = self.lost = False
+        self.scheduler = SimpleNamespace(identity="identity", unregister_worker_plugin="unregister")
+
+    def __call__(self, address: str, **_: object) -> Scheduler:
+        if self.lost:
+            raise OSError(f"Timed out trying to connect to {address}\nafter 10 s")
+        return self
+
+    def run(self, function: object, **_: object) -> dict[str, object]:
+        assert function is identity
+        return self.workers
+
+    def register_plugin(self, plugin: Campaign, name: str) -> None:
+        assert pickle.dumps(plugin)
+
+    def sync(self, question: str, **_: object) -> dict[str, int]:
+        if self.lost:
+            raise TimeoutError
+        return {"n_workers": len(self.workers)}
+
+    def submit(self, _function: object, _name: str, run: int, **_: object) -> Future:
+        self.submitted.append(run)
+        self.left += 1
+        self.most = max(self.most, self.left)
+        return Future(self, run)
+
+    def close(self, **_: object) -> None:
+        self.closed = True
 
 
 class Future:
-    def __init__(self, key: str, run: int, worker: str) -> None:
-        self.key, self.run, self.worker = key, run, worker
-        self.found: object = None
-        self.released = False
-        self._call: Callable[[object], None] = lambda _: None
+    def __init__(self, scheduler: Scheduler, run: int) -> None:
+        self.scheduler, self.run = scheduler, run
 
-    def add_done_callback(self, call: Callable[[object], None]) -> None:
-        self._call = call
+    def add_done_callback(self, callback: Callable[[object], None]) -> None:
+        if self.scheduler.answers.get(self.run, 0) is not None:
+            callback(self)
 
-    def end(self, found: object) -> None:
-        self.found = found
-        self._call(self)
-
-    def result(self, timeout: float) -> object:
-        if isinstance(self.found, Exception):
-            raise self.found
-        return self.found
-
-    def release(self) -> None:
-        self.released = True
+    def result(self, **_: object) -> object:
+        self.scheduler.left -= 1
+        answer = self.scheduler.answers.get(self.run, 2 * self.run)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
 
-class Client:
-    """Takes note of what is submitted and cancelled."""
-
-    status = "running"
-
-    def __init__(self) -> None:
-        self.futures: list[Future] = []
-        self.cancelled: list[Future] = []
-        self.demand: list[Future] = []
-
-    def submit(
-        self, _call: object, _campaign: str, run: int, *, key: str, workers: list[str], **_: Any
-    ) -> Future:
-        self.futures.append(Future(key, run, workers[0]))
-        return self.futures[-1]
-
-    def map(
-        self, call: object, values: range, *, key: list[str], resources: dict[str, int], **_: Any
-    ) -> list[Future]:
-        assert call is int, "which is there whatever a worker has installed"
-        assert resources == {NOBODY_HAS: 1}
-        made = [Future(each, -1, "") for each, _ in zip(key, values, strict=True)]
-        self.demand += made
-        return made
-
-    def _cancel(self) -> None:
-        raise AssertionError
-
-    def sync(self, call: object, futures: list[Future], **_: Any) -> None:
-        assert call == self._cancel
-        self.cancelled += futures
+@pytest.fixture
+def scheduler(monkeypatch: pytest.MonkeyPatch) -> Scheduler:
+    made = Scheduler()
+    monkeypatch.setattr(distributed, "Client", made)
+    monkeypatch.setattr(engine, "LOOK_S", 0.0)
+    return made
 
 
-class Watch:
-    """Shows what the test says."""
-
-    def __init__(self) -> None:
-        self.seen = Seen(time.monotonic(), {})
-        self.refused: dict[str, str] = {}
-        self.forgotten: list[str] = []
-
-    def show(self, **threads: int) -> None:
-        there = {name: There(count, "process") for name, count in threads.items()}
-        self.seen = Seen(time.monotonic(), there)
-
-    def said(self) -> Iterator[str]:
-        return iter(())
-
-    def usable(self) -> list[tuple[str, There]]:
-        return [pair for pair in self.seen.workers.items() if pair[0] not in self.refused]
-
-    def refuse(self, address: str, why: str) -> None:
-        self.refused[address] = why
-
-    def forget(self, address: str) -> None:
-        self.forgotten.append(address)
+def cluster(wait_s: float = 60.0) -> Cluster[Any]:
+    return Cluster("tcp://there:1", Doubles(), 9.0, {}, wait_s)
 
 
-class Bench:
-    """A cluster whose rounds a test writes down: what happens before each."""
-
-    def __init__(self, **options: Any) -> None:
-        self.told: list[str] = []
-        self.counts: list[tuple[int, int]] = []
-        self.cluster = Cluster(
-            "tcp://there:1",
-            Numbers(),
-            9.0,
-            files={},
-            say=self.told.append,
-            count=lambda *found: self.counts.append(found),
-            **options,
-        )
-        self.client, self.watch = Client(), Watch()
-        self.cluster._client, self.cluster._watch = self.client, self.watch  # type: ignore[assignment]
-
-    def rounds(self, runs: range, *steps: Callable[[], object]) -> list[object]:
-        """What comes of runs in as many rounds as there are steps."""
-        left = list(steps)
-
-        def go_on() -> bool:
-            if not left:
-                return False
-            left.pop(0)()
-            return True
-
-        return list(self.cluster.results(runs, go_on))
-
-    def given(self) -> dict[str, list[int]]:
-        """Runs that workers were given and still have, in order."""
-        found: dict[str, list[int]] = {}
-        for address, worker in self.cluster._workers.items():
-            found[address] = [given.run for given in worker.given.values()]
-        return found
-
-    def end(self, run: int, found: object = None) -> Callable[[], None]:
-        """A step: the last future of a run ends."""
-        return lambda: [each for each in self.client.futures if each.run == run][-1].end(
-            f"done {run}" if found is None else found
-        )
+def drive(runs: range, wait_s: float = 60.0) -> list[object]:
+    with cluster(wait_s) as made:
+        return list(made.results(runs, lambda: True))
 
 
-@pytest.fixture(autouse=True)
-def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "POLL_S", 0.001)
-
-
-def test_no_more_is_submitted_than_threads_have_and_a_few_that_wait() -> None:
-    bench = Bench()
-    found = bench.rounds(range(1000), lambda: bench.watch.show(a=1, b=2), bench.end(0), bench.end(1))
-    assert found == ["done 0", "done 1"]
-    assert len(bench.client.futures) <= 2 + 3 * (1 + AHEAD)
-    assert {address: len(runs) for address, runs in bench.given().items()} == {"a": 2, "b": 3}
-    assert bench.counts == [(3, 2)]
-    assert sorted(each.run for each in bench.client.futures[:3]) == [0, 1, 2], "threads first"
-
-
-def test_runs_of_a_lost_worker_are_driven_elsewhere_and_before_others() -> None:
-    bench = Bench()
-    bench.rounds(range(6), lambda: bench.watch.show(a=1), lambda: bench.watch.show(b=1))
-    # Run 0 was under way: it is driven alone. Run 1 only waited there.
-    assert bench.given() == {"b": [0]}
-    assert bench.told == ["the worker a is gone; 2 runs are driven again elsewhere"]
-    assert [each.run for each in bench.client.cancelled] == [0, 1]
-    assert bench.cluster._deaths == {0: ["a"]}
-
-
-def test_a_run_that_two_workers_died_with_is_a_result() -> None:
-    bench = Bench()
-    found = bench.rounds(
-        range(4),
-        lambda: bench.watch.show(a=1),
-        lambda: bench.watch.show(b=1),
-        lambda: bench.watch.show(c=1),
-        bench.end(1),
-    )
-    assert found == ["0: the workers that drove it died: a, b", "done 1"]
-
-
-def test_another_process_at_the_same_address_is_another_worker() -> None:
-    bench = Bench()
-    bench.rounds(
-        range(1),
-        lambda: bench.watch.show(a=1),
-        bench.end(0, UnknownCampaign("x")),
-    )
-    assert bench.watch.forgotten == ["a"]
-    bench = Bench()
-
-    def again() -> None:
-        bench.watch.seen = Seen(time.monotonic(), {"a": There(1, "another")})
-
-    bench.rounds(range(1), lambda: bench.watch.show(a=1), again)
-    assert bench.cluster._deaths == {0: ["a"]}
-    assert bench.given() == {"a": [0]}
-
-
-def test_a_worker_that_cannot_read_the_work_is_given_nothing_and_its_runs_go_to_others() -> None:
-    bench = Bench()
-    found = bench.rounds(
-        range(3),
-        lambda: bench.watch.show(a=1, b=1),
-        bench.end(0, Unreadable("no module")),
-        lambda: None,
-        bench.end(0),
-    )
-    assert bench.watch.refused == {"a": "no module"}
-    assert found == ["done 0"]
-    assert bench.cluster._deaths == {}
-
-
-def test_a_run_that_others_cancelled_is_given_again() -> None:
-    bench = Bench()
-    found = bench.rounds(
-        range(1),
-        lambda: bench.watch.show(a=1),
-        bench.end(0, FutureCancelledError("key", "by others")),
-        lambda: None,
-        bench.end(0),
-    )
-    assert found == ["done 0"]
-    assert len(bench.client.futures) == 2
-    assert bench.cluster._deaths == {}
-
-
-def test_what_timed_out_or_died_there_is_what_the_work_makes_of_it() -> None:
-    bench = Bench()
-    found = bench.rounds(
-        range(1), lambda: bench.watch.show(a=1), bench.end(0, Unfinished("its process died", 1.0, False))
-    )
-    assert found == ["0: its process died"]
-
-
-def test_a_scheduler_that_is_gone_or_silent_ends_the_campaign() -> None:
-    bench = Bench()
-    with pytest.raises(EngineLost, match=r"^the scheduler tcp://there:1 is gone$"):
-        bench.rounds(range(1), lambda: setattr(bench.client, "status", "connecting"))
-    bench = Bench()
-    silent = Seen(time.monotonic() - 2.0 * engine.SILENT_S, {})
-    with pytest.raises(EngineLost):
-        bench.rounds(range(1), lambda: setattr(bench.watch, "seen", silent))
-
-
-def test_without_a_worker_it_ends_with_the_reason() -> None:
-    refused = Seen(time.monotonic() + 60.0, {}, refused=2)
-    bench = Bench()
-    with pytest.raises(
-        ClusterError, match="each has another installation than this one: give them this one, and"
-    ):
-        bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
-    bench = Bench(expects=lambda: 3)  # a third one is to come
-    bench.rounds(range(1), lambda: setattr(bench.watch, "seen", refused))
-    bench = Bench(broken=lambda: "host1: no ssh")
-    with pytest.raises(ClusterError, match="host1: no ssh"):
-        bench.rounds(range(1), bench.watch.show)
-    bench = Bench(patience_s=0.0)
-    with pytest.raises(ClusterError, match="there is no worker at tcp://there:1"):
-        bench.rounds(range(1), bench.watch.show, bench.watch.show)
-    bench = Bench(patience_s=0.0)
-    with pytest.raises(EngineLost):  # some runs are done: it is not that nothing could be
-        bench.rounds(
-            range(9), lambda: bench.watch.show(a=1), bench.end(0), bench.watch.show, bench.watch.show
-        )
-
-
-def test_the_scheduler_knows_how_many_runs_wait_though_there_is_no_worker() -> None:
-    """An adaptive cluster, which begins without a worker, starts none for a client that submits nothing."""
-    bench = Bench()
-    bench.rounds(range(5), lambda: None, lambda: None)
-    assert len(bench.client.demand) == 5
-    bench.rounds(range(3), lambda: bench.watch.show(a=1), bench.end(0), bench.end(1), bench.end(2))
-    assert all(future.released for future in bench.client.demand), "nothing waits any more"
-
-    many = Bench()
-    many.rounds(range(10 * DEMAND_MAX), lambda: None)
-    assert len(many.client.demand) == DEMAND_MAX
-
-
-def test_a_run_that_is_a_row_now_is_not_said_to_be_driven_again() -> None:
-    bench = Bench()
-    found = bench.rounds(
-        range(2),
-        lambda: bench.watch.show(a=1),
-        lambda: bench.watch.show(b=1),
-        lambda: bench.watch.show(c=1),
-    )
-    assert found == ["0: the workers that drove it died: a, b"]
-    assert bench.told == ["the worker a is gone; 2 runs are driven again elsewhere", "the worker b is gone"]
-
-
-def test_waiting_for_a_worker_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "WAITS_S", 0.05)
-    bench = Bench(patience_s=600.0)
-    bench.rounds(range(2), lambda: None, lambda: time.sleep(0.1), lambda: None, lambda: None)
-    (text,) = bench.told
-    assert text == "there is no worker at tcp://there:1 yet: waiting for one since 0 s, for 600 s at most"
-
-
-def test_who_is_told_to_stop_before_there_is_a_connection_drives_nothing(
-    monkeypatch: pytest.MonkeyPatch,
+def test_every_run_is_a_task_and_a_scheduler_holds_few_at_a_time(
+    scheduler: Scheduler, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refused(*_: object) -> None:
-        raise GivenUp
-
-    monkeypatch.setattr(engine, "connected", refused)
-    with Cluster("tcp://there:1", Numbers(), 9.0, files={}, say=print, go_on=lambda: False) as cluster:
-        assert list(cluster.results(range(3), lambda: False)) == []
+    monkeypatch.setattr(engine, "SUBMITTED_MAX", 3)
+    assert drive(range(20)) == [2 * run for run in range(20)]
+    assert (scheduler.submitted, scheduler.most, scheduler.closed) == (list(range(20)), 3, True)
 
 
-def test_certificates_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
-    missing = str(tmp_path / "ca.pem")
-    settings = {"ca-file": missing, "client.cert": missing, "client.key": missing}
-    with (
-        dask.config.set({f"distributed.comm.tls.{name}": value for name, value in settings.items()}),
-        pytest.raises(ClusterError, match=rf"tls\.ca-file, {missing}: no such file or directory$"),
-        Cluster("tls://127.0.0.1:1", Numbers(), 9.0, files={}, say=print),
+def test_runs_whose_processes_or_workers_died_are_results(scheduler: Scheduler) -> None:
+    scheduler.answers[0] = Unfinished("not done within 9 s", 9.0, timed_out=True)
+    scheduler.answers[1] = distributed.KilledWorker("key", SimpleNamespace(address="tcp://one:1"), 3)
+    assert drive(range(3)) == [
+        "0 timed out: not done within 9 s",
+        "1 crashed: the 4 workers that drove it died",
+        4,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        (PoolError("no such module"), "^a worker of tcp://there:1 cannot drive runs: no such module$"),
+        (ValueError("gone"), r"^the scheduler tcp://there:1 is gone \(ValueError: gone\)$"),
+    ],
+)
+def test_a_worker_or_scheduler_that_cannot_go_on_ends_the_campaign(
+    scheduler: Scheduler, answer: Exception, says: str
+) -> None:
+    scheduler.answers[1] = answer
+    with pytest.raises(EngineLost, match=says):
+        drive(range(3))
+    assert scheduler.closed
+
+
+def test_a_scheduler_without_workers_is_waited_for(scheduler: Scheduler) -> None:
+    scheduler.workers = {}
+    scheduler.answers[0] = None
+    with pytest.raises(EngineLost, match=r"^the scheduler tcp://there:1 has had no worker for 0\.3 s"):
+        drive(range(1), wait_s=0.3)
+
+
+def test_a_scheduler_that_does_not_answer_is_lost(scheduler: Scheduler) -> None:
+    scheduler.answers[0] = None
+    with cluster() as made:
+        scheduler.lost = True
+        with pytest.raises(EngineLost, match=r"^the scheduler tcp://there:1 is gone"):
+            list(made.results(range(1), lambda: True))
+
+
+def test_results_end_when_they_are_no_longer_wanted(scheduler: Scheduler) -> None:
+    scheduler.answers[1] = None
+    until_s = time.monotonic() + 0.3
+    with cluster() as made:
+        assert list(made.results(range(2), lambda: time.monotonic() < until_s)) == [0]
+
+
+@pytest.mark.parametrize(
+    ("there", "says"),
+    [
+        (
+            identity() | {"numpy": "1.0"},
+            r"the worker tcp://one:1 has another installation: numpy 1\.0 instead",
+        ),
+        (ModuleNotFoundError("No module named 'deploy'"), "the worker tcp://one:1 cannot load handfast: Mod"),
+    ],
+)
+def test_a_worker_with_another_program_is_refused_before_anything_runs(
+    scheduler: Scheduler, there: object, says: str
+) -> None:
+    scheduler.workers["tcp://one:1"] = there
+    with pytest.raises(ClusterError, match=says):
+        drive(range(3))
+    assert (scheduler.submitted, scheduler.closed) == ([], True)
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(scheduler: Scheduler) -> None:
+    scheduler.lost = True
+    with pytest.raises(
+        Error, match=r"^cannot connect to a Dask scheduler at tcp://there:1: Timed out trying [^\n]+$"
     ):
-        raise AssertionError
+        drive(range(1))
 
 
-def test_what_dask_leaves_behind_is_not_shown_and_what_others_do_is(caplog: pytest.LogCaptureFixture) -> None:
-    """Tasks that wait for futures of a worker that is lost, where one of them has failed already."""
+# --- in the workers ---------------------------------------------------------------------------------
 
-    async def leave() -> None:
-        for error in (AllExit(), KeyError("of others")):
-            asyncio.get_running_loop().create_future().set_exception(error)  # nobody will ask
-        gc.collect()
 
-    with engine._silenced():
-        pass
-    asyncio.run(leave())
-    assert [record.exc_info[0] for record in caplog.records if record.exc_info] == [KeyError]
+class Dies(Doubles):
+    def execute(self, number: int, go_on: Callable[[], bool]) -> int:
+        if number == 0:
+            raise SystemExit(3)
+        return super().execute(number, go_on)
+
+
+def test_a_worker_drives_runs_in_processes_and_leaves_nothing(tmp_path: Any) -> None:
+    worker: Any = SimpleNamespace(local_directory=str(tmp_path))
+    campaign = Campaign(pickle.dumps(Dies()), {"a_package/module.py": b"x = 1\n"}, 60.0)
+    campaign.setup(worker)
+    assert [path.read_bytes() for path in tmp_path.rglob("module.py")] == [b"x = 1\n"]
+    found = campaign.drive(0, lambda: True)
+    assert isinstance(found, Unfinished)
+    assert found.reason == "its process ended with exit status 3"
+    assert campaign.drive(3, lambda: True) == 6
+    with pytest.raises(Abandoned):
+        campaign.drive(4, lambda: False)
+    campaign.teardown(worker)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(Abandoned):
+        campaign.drive(5, lambda: True)
+
+
+def test_work_that_cannot_be_read_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.path", [])
+    with pytest.raises(Refused, match="no_such_module"):
+        SentWork(b"cno_such_module\nName\n.", "folder").execute(1, lambda: True)

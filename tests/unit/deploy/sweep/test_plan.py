@@ -457,7 +457,7 @@ def test_pictures_are_drawn_and_the_same_again(
     for name in ("a", "b"):
         folder = tmp_path / name
         folder.mkdir()
-        paths, left_out = write_sweep_figures(folder, plan, cells, axis, found, rows_of(plan))
+        paths, left_out = write_sweep_figures(folder, plan, cells, axis, found)
         assert left_out == ""
         assert {path.name for path in paths} == names
         written.append([path.read_bytes() for path in paths])
@@ -470,7 +470,7 @@ def test_what_pictures_leave_out_is_said(tmp_path: Path) -> None:
         ask("control.kp=0,1", "control.c2=1,2", f"control.c1={','.join(map(str, range(1, 15)))}")
     )
     cells = summarise(plan, rows_of(plan))
-    _, left_out = write_sweep_figures(tmp_path, plan, cells, 0, margins(plan, cells, 0), {})
+    _, left_out = write_sweep_figures(tmp_path, plan, cells, 0, margins(plan, cells, 0))
     assert (
         left_out == f"the pictures show {PANELS_MAX} of 14 combinations of control.c1; all are in summary.csv"
     )
@@ -550,16 +550,3 @@ def test_both_ends_of_a_range_are_read_before_anything_is_driven() -> None:
     plan = make_plan(ask("faults.delay=0..1.4s", "faults.loss=0..50%"))
     assert len(plan.samples(0)) == 4
     assert len({sample.faults for sample in plan.samples(0)}) == 4
-
-
-def test_every_run_is_a_point(tmp_path: Path) -> None:
-    plan = make_plan(ask("faults.delay=0..1.4s", "faults.loss=0..50%", repeat=5))
-    rows = {run: made(plan, run) for run in range(4)}
-    rows[1] = made(plan, 1, settling_time_s=NEVER)
-    rows[4] = unfinished(plan, 4, CRASHED, "it died", 1.0)
-    cells = summarise(plan, rows)
-    paths, left_out = write_sweep_figures(tmp_path, plan, cells, None, [], rows)
-    assert ([path.name for path in paths], left_out) == (["drawn.png"], "")
-    before = paths[0].read_bytes()
-    write_sweep_figures(tmp_path, plan, cells, None, [], rows)
-    assert paths[0].read_bytes() == before

@@ -6,9 +6,9 @@ import gc
 
 import pytest
 
-from handfast.deploy.sweep.claim import make_claim
 from handfast.deploy.sweep.plan import Question, make_plan
 from handfast.deploy.sweep.run import PASSED, execute
+from handfast.deploy.sweep.summary import summarise
 
 ALONE = """
 [fleet]
@@ -33,9 +33,9 @@ def test_a_robot_without_edges_is_safe_and_settled_at_its_place(more: str) -> No
     for row in rows.values():
         assert (row.verdict, row.reason, row.safe, row.settled) == (PASSED, "", True, True)
         assert row.numbers["settling_time_s"] == 0.0
-    claim = make_claim(plan, rows)
-    assert (claim.unsafe, claim.settled.count, claim.reasons) == (0, 2, ())
-    assert claim.upper == pytest.approx(1.0 - 0.05 ** (1 / 2))
+    (cell,) = summarise(plan, rows)
+    assert (cell.safe.count, cell.settled.count) == (2, 2)
+    assert cell.unsafe_upper == pytest.approx(1.0 - 0.05 ** (1 / 2))
 
 
 def test_a_robot_without_edges_that_is_not_at_its_place_has_not_settled() -> None:

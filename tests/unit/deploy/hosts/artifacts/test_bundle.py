@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from handfast.deploy.console.data_files import ROBOT_REQUIREMENTS, WORKER_REQUIREMENTS
+from handfast.deploy.console.data_files import ROBOT_REQUIREMENTS
 from handfast.deploy.hosts.artifacts import bundle
 from handfast.deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
 
@@ -83,7 +83,7 @@ def test_all_that_robots_need_is_locked_with_hashes():
 def test_wheels_are_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     fetched = []
 
-    def download(platform: Platform, folder: Path, requirements: Path) -> None:
+    def download(platform: Platform, folder: Path) -> None:
         fetched.append(platform)
         (folder / "pip-1.whl").write_bytes(b"abc")
 
@@ -99,7 +99,7 @@ def test_wheels_are_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_what_is_left_of_an_older_cache_is_fetched_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def download(platform: Platform, folder: Path, requirements: Path) -> None:
+    def download(platform: Platform, folder: Path) -> None:
         for name in ("a.whl", "b.whl"):
             (folder / name).write_bytes(b"abc")
 
@@ -114,14 +114,14 @@ def test_what_is_left_of_an_older_cache_is_fetched_again(tmp_path: Path, monkeyp
 
 
 def test_another_command_may_be_quicker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def download(platform: Platform, folder: Path, requirements: Path) -> None:
+    def download(platform: Platform, folder: Path) -> None:
         (folder / "a.whl").write_bytes(b"ours")
         monkeypatch.setattr(bundle, "_download", theirs)
         with monkeypatch.context() as other:
             other.setattr(bundle, "_locks", {})  # of another process
             bundle_for(PI, b"x")
 
-    def theirs(platform: Platform, folder: Path, requirements: Path) -> None:
+    def theirs(platform: Platform, folder: Path) -> None:
         (folder / "a.whl").write_bytes(b"theirs")
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -132,7 +132,7 @@ def test_another_command_may_be_quicker(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_registry_that_is_not_there_is_waited_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     asked = []
 
-    def download(platform: Platform, folder: Path, requirements: Path) -> None:
+    def download(platform: Platform, folder: Path) -> None:
         asked.append(platform)
         raise BundleError("no wheels for it")
 
@@ -171,7 +171,7 @@ def test_a_download_can_be_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_an_interrupted_download_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def download(platform: Platform, folder: Path, requirements: Path) -> None:
+    def download(platform: Platform, folder: Path) -> None:
         (folder / "numpy-1.whl").write_bytes(b"half")
         raise BundleError("no wheels for it")
 
@@ -181,17 +181,3 @@ def test_an_interrupted_download_leaves_nothing_that_counts(tmp_path: Path, monk
         with pytest.raises(BundleError, match="no wheels"):
             bundle_for(PI, b"x")
     assert not list(tmp_path.rglob("*.whl"))
-
-
-def test_a_workers_wheels_are_others_than_a_robots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    asked = []
-
-    def download(platform: Platform, folder: Path, requirements: Path) -> None:
-        asked.append(requirements)
-        (folder / "pip-1-py3-none-any.whl").write_bytes(b"")
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(bundle, "_download", download)
-    folders = {bundle_for(PI, b"x", each).folder for each in (ROBOT_REQUIREMENTS, WORKER_REQUIREMENTS) * 2}
-    assert asked == [ROBOT_REQUIREMENTS, WORKER_REQUIREMENTS]
-    assert len(folders) == 2

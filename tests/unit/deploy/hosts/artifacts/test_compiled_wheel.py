@@ -53,7 +53,7 @@ def test_pip_installs_it(tmp_path: Path):
 
 
 def test_a_bundle_has_it_for_such_computers_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def download(_: Platform, folder: Path, requirements: Path) -> None:
+    def download(_: Platform, folder: Path) -> None:
         (folder / "a.whl").write_bytes(b"a")
 
     monkeypatch.setattr(bundle, "cache_folder", lambda name: tmp_path / name)
