@@ -40,12 +40,8 @@ from handfast.agent.transport.bus import Bus, BusError
 
 POLL_S: Final = 0.05
 """Time between two looks at the bus, s."""
-INBOX_S: Final = 60
-"""A recorder that does not get to run for so long misses nothing."""
-MESSAGES_PER_TICK: Final = 5.5
-"""What one robot says, statuses and what it relays included."""
-INBOX_MIN: Final = 4096
-"""Smallest inbox, messages."""
+INBOX: Final = 20_000
+"""Messages that may wait on the bus: a minute of a robot at 50 Hz."""
 LOOK_BACK: Final = 32
 """Number of newest files that are searched for orders."""
 FOR_GOOD: Final = (errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.EACCES, errno.EPERM)
@@ -75,18 +71,8 @@ def known(path: Path, orders: frozenset[str]) -> list[Received]:
     return []
 
 
-def inbox_size(fleet: Fleet) -> int:
-    """Messages of one robot that may wait to be heard."""
-    return max(INBOX_MIN, round(INBOX_S * MESSAGES_PER_TICK * fleet.fleet.rate_hz))
-
-
-def record(
-    bus: Bus, inbox: int, recorder: RobotRecorder, shutdown: Shutdown, systemd: SystemdNotifier
-) -> None:
+def record(bus: Bus, recorder: RobotRecorder, shutdown: Shutdown, systemd: SystemdNotifier) -> None:
     """Records until the process is asked to end and all is on the disk.
-
-    Args:
-        inbox: as many messages may wait on the bus.
 
     Raises:
         OSError: nothing can be recorded any more.
@@ -98,22 +84,19 @@ def record(
         before_ns, offset_ns = offset_ns, now_ns - time.monotonic_ns()
         if abs(offset_ns - before_ns) >= STEP_NS:
             recorder.set_clock(now_ns, (offset_ns - before_ns) / NS_PER_S)
-        _hear(bus, inbox, recorder, now_ns)
+        _hear(bus, recorder, now_ns)
         systemd.lives(time.monotonic_ns())
         shutdown.look_for_parent()
     systemd.stopping()
-    _hear(bus, inbox, recorder, time.time_ns())
+    _hear(bus, recorder, time.time_ns())
     while not recorder.is_idle:  # a disk that stalls
         time.sleep(POLL_S)
         systemd.lives(time.monotonic_ns())
     recorder.end_file(time.time_ns())
 
 
-def _hear(bus: Bus, inbox: int, recorder: RobotRecorder, now_ns: int) -> None:
-    messages = bus.drain()
-    if len(messages) >= inbox:
-        recorder.overflow()
-    for key, payload in messages:
+def _hear(bus: Bus, recorder: RobotRecorder, now_ns: int) -> None:
+    for key, payload in bus.drain():
         recorder.add(now_ns, key, payload)
     recorder.flush_if_due(now_ns)
 
@@ -151,12 +134,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 RecordingFolder(path, fleet.recording.max_mb * 1_000_000) as folder,
                 _bus(fleet, robot, options.keys, log) as bus,
             ):
-                inbox = inbox_size(fleet)
-                bus.subscribe(key_expressions.everything(fleet.fleet.name), inbox)
+                bus.subscribe(key_expressions.everything(fleet.fleet.name), INBOX)
                 log(f"recording into {path}, at most {fleet.recording.max_mb} MB")
                 orders = order_keys(whose.fleet, robot)
                 with RobotRecorder(folder, whose, orders, known(path, orders), log) as recorder:
-                    record(bus, inbox, recorder, shutdown, systemd)
+                    record(bus, recorder, shutdown, systemd)
                 log(f"ending ({shutdown.why})")
     except (FleetError, StartError) as error:
         log(str(error))

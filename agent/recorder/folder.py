@@ -10,10 +10,9 @@ import errno
 import fcntl
 import os
 import re
-from collections import deque
 from contextlib import suppress
+from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self
 
 FILE_BYTES: Final = 8_000_000
@@ -26,7 +25,6 @@ LOCK_NAME: Final = "lock"
 """File in the folder that its one recorder has locked."""
 FILE_NAME: Final = re.compile(r"([0-9]{8,18})-[0-9a-f]{8}\.mcap")
 """Number of the file, and a random mark: a file of the same name is the same file, perhaps grown."""
-_HELD: Final = (errno.EWOULDBLOCK, errno.EACCES)
 PASSING: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
 """Errors of a disk that may pass. All others are permanent, such as a folder that belongs to another user."""
 
@@ -43,18 +41,14 @@ def recording_files(folder: Path) -> list[Path]:
     Raises:
         OSError: it cannot be listed.
     """
-    return [path for _, path in sorted(_numbered(folder))]
+    numbered = [(number, path) for path in folder.iterdir() if (number := number_of(path)) is not None]
+    return [path for _, path in sorted(numbered)]
 
 
-def _numbered(folder: Path) -> list[tuple[int, Path]]:
-    return [(int(match[1]), path) for path in folder.iterdir() if (match := FILE_NAME.fullmatch(path.name))]
-
-
-def _size(path: Path) -> int | None:
-    """None when somebody has removed it."""
-    with suppress(FileNotFoundError):
-        return path.stat().st_size
-    return None
+def number_of(path: Path) -> int | None:
+    """Return the number of a file of a recording, None for another file."""
+    match = FILE_NAME.fullmatch(path.name)
+    return int(match[1]) if match else None
 
 
 class RecordingFolder:
@@ -74,59 +68,41 @@ class RecordingFolder:
         self.path: Final = path
         self._bytes_max, self._reserve_bytes = bytes_max, reserve_bytes
         self._file_bytes = min(FILE_BYTES, bytes_max // FILES_MIN)
-        path.mkdir(parents=True, exist_ok=True)
-        self._lock = os.open(path / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        self._file: int | None = None
+        self._mark = os.urandom(4).hex()
+        self._file: FileIO | None = None
         """The newest file; None when the next data begin another."""
-        self._size = 0
-        self._newest = path
+        path.mkdir(parents=True, exist_ok=True)
+        recording_files(path)
+        self._lock = open(path / LOCK_NAME, "ab")  # noqa: SIM115 - closed by close()
         try:
-            try:
-                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                if error.errno not in _HELD:
-                    raise
-                raise FolderInUseError(f"{path}: another process is recording there") from None
-            there = sorted(_numbered(path))
-            self._closed = deque((each, size) for _, each in there if (size := _size(each)) is not None)
-            """Complete files and their sizes, the oldest first."""
-            self._next = 1 + max((number for number, _ in there), default=0)
-            self._mark = os.urandom(4).hex()
-            with suppress(PermissionError):
-                _sync_folder(path.parent)
-        except BaseException:
-            os.close(self._lock)
-            raise
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._lock.close()
+            raise FolderInUseError(f"{path}: another process is recording there") from None
+        with suppress(PermissionError):
+            _sync_folder(path.parent)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
         """End the newest file and unlock the folder."""
         self.end_file()
-        os.close(self._lock)
-
-    @property
-    def total_bytes(self) -> int:
-        """Size of all files."""
-        return sum(size for _, size in self._closed) + self._size
+        self._lock.close()
 
     def is_full_with(self, size: int) -> bool:
         """Return True if the newest file should end after `size` more bytes."""
-        return self._size + size >= self._file_bytes
+        return (self._file.tell() if self._file else 0) + size >= self._file_bytes
 
     def end_file(self) -> None:
         """End the newest file: the next data begin another."""
-        if self._file is not None:
-            self._closed.append((self._newest, self._size))
-            file, self._file, self._size = self._file, None, 0
-            with suppress(OSError):  # the descriptor is gone all the same, and all is on the disk
-                os.close(file)
+        file, self._file = self._file, None
+        if file is not None:
+            with suppress(OSError):  # all is on the disk
+                file.close()
 
     def append(self, data: bytes, *, begins: bool = False, ends: bool = False) -> None:
         """Write data to the disk; delete the oldest files to make room.
@@ -142,10 +118,7 @@ class RecordingFolder:
             self.end_file()
         try:
             self._make_room(len(data))
-            if self._file is None:
-                self._begin(data)
-            else:
-                self._go_on(self._file, data)
+            self._write(data)
         except OSError:
             ends = True
             raise
@@ -154,52 +127,42 @@ class RecordingFolder:
                 self.end_file()
 
     def _make_room(self, size: int) -> None:
-        while self._closed and self.total_bytes + size > self._bytes_max:
-            oldest, _ = self._closed[0]
-            with suppress(FileNotFoundError):  # somebody else has tidied up
-                oldest.unlink()
-            self._closed.popleft()
+        sizes = {path: path.stat().st_size for path in recording_files(self.path)}
+        for oldest in [*sizes][: -1 if self._file else None]:
+            if sum(sizes.values()) + size <= self._bytes_max:
+                break
+            oldest.unlink(missing_ok=True)
+            del sizes[oldest]
         disk = os.statvfs(self.path)
         free = disk.f_bavail * disk.f_frsize
         if free - size < self._reserve_bytes:
             about = f"{free / 1e6:.0f} MB are free, {self._reserve_bytes / 1e6:.0f} MB are kept for others"
             raise OSError(errno.ENOSPC, about)
 
-    def _begin(self, data: bytes) -> None:
-        path = self.path / f"{self._next:08d}-{self._mark}.mcap"
-        self._next += 1  # whatever becomes of it: one that cannot be removed is not in the way
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
+    def _write(self, data: bytes) -> None:
+        is_new = self._file is None
+        if self._file is None:
+            number = 1 + max((number_of(path) or 0 for path in recording_files(self.path)), default=0)
+            self._file = FileIO(self.path / f"{number:08d}-{self._mark}.mcap", "xb")
+        file, at = self._file, self._file.tell()
         try:
-            _write(file, data)
-            _to_disk(file)
-            _sync_folder(self.path)
-        except BaseException:
-            os.close(file)
-            with suppress(OSError):
-                path.unlink()
-            raise
-        self._file, self._size, self._newest = file, len(data), path
-
-    def _go_on(self, file: int, data: bytes) -> None:
-        try:
-            _write(file, data)
-            _to_disk(file)
-        except BaseException:
+            written = file.write(data)
+            if written < len(data):
+                raise OSError(errno.ENOSPC, f"only {written} of {len(data)} bytes were taken")
+            _to_disk(file.fileno())
+            if is_new:
+                _sync_folder(self.path)
+        except OSError:
             # Where this fails too, a piece stays at the end of the file: readers leave it out.
             with suppress(OSError):
-                os.ftruncate(file, self._size)
+                file.truncate(at)
+                if is_new:
+                    Path(str(file.name)).unlink()
             raise
-        self._size += len(data)
-
-
-def _write(file: int, data: bytes) -> None:
-    written = os.write(file, data)
-    if written < len(data):
-        raise OSError(errno.ENOSPC, f"only {written} of {len(data)} bytes were taken")
 
 
 def _sync_folder(path: Path) -> None:
-    """Puts the names in a folder on the disk."""
+    """Put the names in a folder on the disk."""
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(handle)

@@ -1,8 +1,8 @@
 """Writes what a robot says to the disk of its computer, as a sequence of MCAP files.
 
-No clock and no bus: the process around it has both. The recorder counts messages that the disk does not take
-and notes their number in the next file. Besides its messages a file holds, as metadata, the fleet and robot
-(`RUN_METADATA`), orders as they were received (`ORDER_METADATA`), and losses (`LOSS_METADATA`).
+No clock and no bus: the process around it has both. Messages that the disk does not take leave a gap. Besides
+its messages a file holds, as metadata, the fleet and robot (`RUN_METADATA`) and orders as they were received
+(`ORDER_METADATA`).
 """
 
 from __future__ import annotations
@@ -39,8 +39,6 @@ RETRY_NS: Final = 5 * NS_PER_S
 AGAIN: Final = f"tried again every {RETRY_NS // NS_PER_S} s"
 ORDER_METADATA: Final = "handfast.order"
 """An order as it was received, with the operator's seal: its key, time of reception, bytes (base64)."""
-LOSS_METADATA: Final = "handfast.loss"
-"""Messages that are missing before a time; an unknown number where the recorder did not keep up."""
 
 Received = tuple[int, str, bytes]
 """One message: time of reception (wall clock, ns), key, payload."""
@@ -158,9 +156,6 @@ class RobotRecorder:
         self._retry_ns: int | None = None
         """Time at which the disk is tried again; None while it works."""
         self.lost = 0
-        self._overflow = False
-        self._told = 0, False
-        """Loss and overflow that the data state that are being written."""
         self._known: dict[tuple[str, bytes], int] = {}
         """Times at which orders were received, the newest last."""
         self._known_bytes = 0
@@ -204,10 +199,6 @@ class RobotRecorder:
             self._known_bytes -= sum(map(len, oldest))
         return True
 
-    def overflow(self) -> None:
-        """Note that an unknown number of messages were lost before they were added."""
-        self._overflow = True
-
     @property
     def is_idle(self) -> bool:
         """True if nothing is being written to the disk."""
@@ -240,9 +231,6 @@ class RobotRecorder:
             self._drop()
         if self._file is None:
             return
-        if self.lost or self._overflow:
-            loss = {"messages": str(self.lost), "overflow": str(int(self._overflow))}
-            self._file.add_metadata(LOSS_METADATA, {"before_ns": str(self._begun_ns), **loss})
         self._file.flush()
         data = self._sink.take()
         if ends or self._folder.is_full_with(len(data)):
@@ -251,7 +239,6 @@ class RobotRecorder:
             data += self._sink.take()
             self._file = None
         self._written, self._count, self._bytes = self._count, 0, 0
-        self._told, self._overflow = (self.lost, self._overflow), False
         begins, self._begins = self._begins, False
         self._writing = self._disk.submit(self._folder.append, data, begins=begins, ends=ends)
 
@@ -270,13 +257,11 @@ class RobotRecorder:
                 self._log(f"not recording: {self._folder.path} takes no more ({why}); {AGAIN}")
             self._retry_ns = now_ns + RETRY_NS
             self.lost += self._written
-            self._overflow = self._overflow or self._told[1]
             self._drop()
         else:
-            if self._retry_ns is not None:
-                self._log(f"recording again; {self._told[0]} messages were not kept")
-            self._retry_ns = None
-            self.lost -= self._told[0]
+            if self.lost:
+                self._log(f"recording again; {self.lost} messages were not kept")
+            self._retry_ns, self.lost = None, 0
 
     def end_file(self, now_ns: int) -> None:
         """Have all waiting messages written and the file completed; wait for it."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.recorder.folder import FILE_NAME, recording_files
-from handfast.deploy.console.wording import some
+from handfast.agent.recorder.folder import FILE_NAME, number_of, recording_files
 from handfast.deploy.hosts.connection import HostConnection, HostError
 from handfast.deploy.hosts.view import Row
 from handfast.deploy.inventory.folders import cache_folder
@@ -55,8 +53,6 @@ class Fetching:
         self._into = cache_folder("recordings") / fleet.fleet.name
         self.folders: dict[int, Path] = {}
         self.fetched_before: set[int] = set()
-        self._too_much: dict[int, list[str]] = {}
-        """By robot, segments that are too large to be brought."""
         self._not_kept: dict[int, str] = {}
         """By robot, why this computer cannot keep what its host gives."""
 
@@ -97,14 +93,6 @@ class Fetching:
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(fetched_s))
         return f"what robot {robot} recorded is as fetched at {when}: {why}"
 
-    def left_there(self) -> list[str]:
-        """Warnings of what was not brought, though it is there."""
-        most = self._fleet.recording.max_mb
-        return [
-            f"not brought of what robot {robot} recorded: {some(names)}: recording.max_mb is {most}"
-            for robot, names in sorted(self._too_much.items())
-        ]
-
     def _folder(self, robot: int) -> Path:
         return self._into / f"robot-{robot}"
 
@@ -117,7 +105,7 @@ class Fetching:
         _remove_pruned(folder, listed)
         lacking = {
             name: size - _size(folder / name)
-            for name, (size, written_s) in self._fitting(robot, listed).items()
+            for name, (size, written_s) in self._fitting(listed).items()
             if self._since_s is None or written_s >= self._since_s
         }
         got, total = 0, sum(max(0, each) for each in lacking.values())
@@ -147,19 +135,13 @@ class Fetching:
         }
         return listed
 
-    def _fitting(self, robot: int, listed: Listed) -> Listed:
-        """The newest of a robot's segments that this computer takes; one that is too large costs no other
-        its place."""
-        found, left, too_much = {}, SHARE_MAX * self._fleet.recording.max_mb * 1_000_000, []
+    def _fitting(self, listed: Listed) -> Listed:
+        """Return the newest files that this computer takes; one too large costs no other its place."""
+        found, left = {}, SHARE_MAX * self._fleet.recording.max_mb * 1_000_000
         for name in sorted(listed, reverse=True):
-            size = listed[name][0]
-            if size <= left:
+            if listed[name][0] <= left:
                 found[name] = listed[name]
-                left -= size
-            else:
-                too_much.append(f"{name} ({size // 1_000_000} MB)")
-        if too_much:
-            self._too_much[robot] = too_much
+                left -= listed[name][0]
         return found
 
 
@@ -171,24 +153,16 @@ def _about(name: str, about: Any) -> tuple[int, float]:
 
 
 def _remove_pruned(folder: Path, listed: Listed) -> None:
-    """Removes copies of what made room for newer ones there: older than all that is there. Where nothing is
-    there, as on a new SD card, these copies are all that there is."""
-    numbers = [number for name in listed if (number := _number(name)) is not None]
-    for path in recording_files(folder) if numbers else ():
-        number = _number(path.name)
-        if number is not None and number < min(numbers):
+    """Remove copies of files that are older than all files there: those made room for newer ones. Where
+    nothing is there, as on a new SD card, these copies are all that there is."""
+    oldest = min((number_of(Path(name)) or 0 for name in listed), default=0)
+    for path in recording_files(folder):
+        if (number_of(path) or 0) < oldest:
             path.unlink()
 
 
-def _number(name: str) -> int | None:
-    match = FILE_NAME.fullmatch(name)
-    return int(match[1]) if match else None
-
-
 def _size(path: Path) -> int:
-    with suppress(FileNotFoundError):
-        return path.stat().st_size
-    return 0
+    return path.stat().st_size if path.exists() else 0
 
 
 def _copy(connection: HostConnection, there: str, here: Path, size: int, deadline_s: float) -> int:

@@ -18,7 +18,6 @@ from statistics import median_high, median_low
 from typing import Final, NamedTuple
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode, newer
@@ -34,8 +33,6 @@ from handfast.deploy.verdict.run_result import RunResult
 MARGIN_NS: Final = 5 * NS_PER_S
 """Time before and after the last mission that is taken as well."""
 GAPS_SHOWN: Final = 5
-VERSION_MAX: Final = 60
-"""Maximum number of characters of a version that are shown."""
 
 
 @dataclass(frozen=True)
@@ -256,38 +253,21 @@ def _missing(plan: _Plan, damage: Damage) -> Iterator[str]:
     silent = [robot for robot in plan.fleet.ids if robot not in plan.robots]
     if silent:
         yield f"nothing that {'robot' if len(silent) == 1 else 'robots'} {_list(silent)} recorded is here"
-    versions: dict[str, set[int]] = {}
     recorded: dict[int, list[RobotFile]] = {robot: [] for robot in sorted(plan.robots)}
     for file in plan.files:
         recorded[file.robot].append(file)
-        version = printable(file.about.version if file.about else "")[:VERSION_MAX]
-        versions.setdefault(version, set()).add(file.robot)
-    if len(versions) > 1:
-        said = "; ".join(f"{version} on {_list(sorted(versions[version]))}" for version in sorted(versions))
-        yield f"robots had different versions of handfast: {said}"
     begin_ns, end_ns = _most_recorded(plan)
     for robot, files in recorded.items():
         if gaps := _gaps(files, begin_ns, end_ns):
             spans = [f"{_when(a, plan.epoch_ns)} to {_when(b, plan.epoch_ns)}" for a, b in gaps]
             more = f" and {len(gaps) - GAPS_SHOWN} times more" if len(gaps) > GAPS_SHOWN else ""
             yield f"nothing was recorded of robot {robot} from {', '.join(spans[:GAPS_SHOWN])}{more}"
-        yield from _left_out(robot, files, damage, begin_ns, end_ns)
-
-
-def _left_out(
-    robot: int, files: Sequence[RobotFile], damage: Damage, begin_ns: int, end_ns: int
-) -> Iterator[str]:
-    losses = [loss for file in files for loss in file.losses if begin_ns <= loss.before_ns <= end_ns]
-    if lost := sum(loss.messages for loss in losses):
-        yield f"the disk of robot {robot}'s computer did not take {lost} messages"
-    if any(loss.overflow for loss in losses):
-        yield f"robot {robot}'s recorder did not keep up: some messages are missing"
-    if pieces := damage.pieces[robot]:
-        what = "a damaged piece is" if pieces == 1 else f"{pieces} damaged pieces are"
-        yield f"of robot {robot}'s recording {what} left out"
-    if foreign := damage.foreign[robot]:
-        what = "a message is" if foreign == 1 else f"{foreign} messages are"
-        yield f"of robot {robot}'s recording {what} left out that it alone tells of, or cannot"
+        if pieces := damage.pieces[robot]:
+            what = "a damaged piece is" if pieces == 1 else f"{pieces} damaged pieces are"
+            yield f"of robot {robot}'s recording {what} left out"
+        if foreign := damage.foreign[robot]:
+            what = "a message is" if foreign == 1 else f"{foreign} messages are"
+            yield f"of robot {robot}'s recording {what} left out that it alone tells of, or cannot"
 
 
 def _most_recorded(plan: _Plan) -> tuple[int, int]:

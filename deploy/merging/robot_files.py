@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import merge as merged
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from mcap.records import Attachment, Chunk, Metadata
 
@@ -22,7 +22,6 @@ from handfast.agent.messages.types import TIME_NS_MAX
 from handfast.agent.recorder.folder import recording_files
 from handfast.agent.recorder.message_file import FLEET_ATTACHMENT, RUN_METADATA
 from handfast.agent.recorder.recorder import (
-    LOSS_METADATA,
     ORDER_METADATA,
     About,
     Received,
@@ -41,14 +40,6 @@ class MergeError(RuntimeError):
     """Recordings that no run can be made of; the text is one clear message."""
 
 
-class Loss(NamedTuple):
-    """Messages that are missing before a time (ns); with `overflow` an unknown number more."""
-
-    before_ns: int
-    messages: int
-    overflow: bool
-
-
 @dataclass
 class RobotFile:
     """One file of a recording.
@@ -62,7 +53,6 @@ class RobotFile:
     path: Path
     about: About | None = None
     stretches: list[tuple[int, int]] = field(default_factory=list)
-    losses: list[Loss] = field(default_factory=list)
     orders: list[Received] = field(default_factory=list)
 
     @property
@@ -141,9 +131,6 @@ def scan(path: Path) -> RobotFile:
                     run = record.metadata
                 elif isinstance(record, Metadata) and record.name == ORDER_METADATA:
                     found.orders.append(order_of(record.metadata))
-                elif isinstance(record, Metadata) and record.name == LOSS_METADATA:
-                    lost, overflow = record.metadata["messages"], record.metadata["overflow"] == "1"
-                    found.losses.append(Loss(int(record.metadata["before_ns"]), max(0, int(lost)), overflow))
             except (KeyError, ValueError):
                 continue  # no recorder wrote that
     return found

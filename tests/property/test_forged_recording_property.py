@@ -61,12 +61,11 @@ TIMES = st.integers(EPOCH_NS - 10 * NS_PER_S, EPOCH_NS + 20 * NS_PER_S) | st.int
 
 @dataclass(frozen=True)
 class Given:
-    """A recording: whose it is, orders from before, messages, and how many are said to be lost."""
+    """A recording: whose it is, orders from before, messages"""
 
     about: About
     received: tuple[Received, ...] = ()
     known: tuple[Received, ...] = ()
-    lost: int = 0
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,7 @@ def forged(draw: st.DrawFn, honest: Given) -> Given:
     if draw(st.booleans()):
         received += honest.received[draw(st.integers(0, 50)) :]
     received.sort(key=lambda one: one[0])
-    return Given(about._replace(**lie), tuple(received), tuple(known), draw(st.integers(0, 2**32 - 1)))
+    return Given(about._replace(**lie), tuple(received), tuple(known))
 
 
 def write(folder: Path, given: Given) -> Path:
@@ -198,7 +197,6 @@ def write(folder: Path, given: Given) -> Path:
         RecordingFolder(folder, 10**9, 0) as files,
         RobotRecorder(files, given.about, keys, given.known, lambda _: None) as recorder,
     ):
-        recorder.lost = given.lost
         for each in given.received:
             recorder.add(*each)
         recorder.end_file(EPOCH_NS)

@@ -79,7 +79,6 @@ def _fetch(options: argparse.Namespace) -> int:
     # From here on a Ctrl-C ends the command where it is.
     lacking = [robot for row in rows for robot in row.robots if robot not in fetching.folders]
     warnings = [warning for robot in lacking if (warning := fetching.fall_back(robot)) is not None]
-    warnings += fetching.left_there()
     if not fetching.folders:
         return FAILED
     choice = Choice(name, _ns(since_s), _ns(until_s), options.all)

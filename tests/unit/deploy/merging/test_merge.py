@@ -66,10 +66,10 @@ def shifted(sent: Iterable[Received], by_s: float) -> Iterator[Received]:
 class Computer:
     """A robot's computer, whose recorder can be ended at any time, and started again."""
 
-    def __init__(self, folder: Path, robot: int, fleet: Fleet = FLEET, *, version: str = "0.1.0") -> None:
+    def __init__(self, folder: Path, robot: int, fleet: Fleet = FLEET) -> None:
         self.folder, self.robot = folder / f"robot-{robot}", robot
         text = toml(fleet)
-        self.about = About(fleet.fleet.name, digest(fleet), robot, version, text)
+        self.about = About(fleet.fleet.name, digest(fleet), robot, "0.2.0", text)
 
     def record(self, sent: Iterable[Received], *, files: int = 1, known: Iterable[Received] = ()) -> None:
         sent = list(sent)
@@ -290,24 +290,6 @@ def test_a_power_loss_costs_the_last_second(tmp_path: Path) -> None:
     assert not any("damaged" in warning for warning in found.warnings)
 
 
-def test_what_a_disk_did_not_take_is_said(tmp_path: Path) -> None:
-    folders = record_all(tmp_path / "hosts")
-    computer = Computer(tmp_path / "hosts", 2)
-    with (
-        RecordingFolder(computer.folder, 1_000_000_000, 0) as folder,
-        RobotRecorder(folder, computer.about, frozenset(), (), lambda _: None) as recorder,
-    ):
-        recorder.lost = 12
-        recorder.overflow()
-        recorder.add(EPOCH_NS, key_expressions.hand(NAME, 2), b"not a message")
-        recorder.end_file(EPOCH_NS)
-    found = merged(folders, tmp_path / "run")
-    assert found.warnings == (
-        "the disk of robot 2's computer did not take 12 messages",
-        "robot 2's recorder did not keep up: some messages are missing",
-    )
-
-
 def test_any_tool_reads_a_robots_file(tmp_path: Path) -> None:
     """Each key is a channel of JSON with a schema; orders are there as well."""
     (path,) = recording_files(record_one(tmp_path))
@@ -361,13 +343,6 @@ def test_one_fleet_of_several(tmp_path: Path) -> None:
     with pytest.raises(MergeError, match="no recordings of a fleet none in what was given"):
         merged(folders, tmp_path / "none", Choice(fleet="none"))
     assert merged(folders, tmp_path / "later-run", Choice(fleet="later")).robots == (1,)
-
-
-def test_versions_that_differ_are_named(tmp_path: Path) -> None:
-    for robot in IDS:
-        Computer(tmp_path / "hosts", robot, version="0.2.0" if robot == 3 else "0.1.0").record(said(robot))
-    found = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run")
-    assert found.warnings == ("robots had different versions of handfast: 0.1.0 on 1, 2; 0.2.0 on 3",)
 
 
 def test_nothing_there_is_one_clear_line(tmp_path: Path) -> None:
@@ -443,15 +418,6 @@ def test_one_recording_does_not_say_how_long_the_others_should_be(tmp_path: Path
         ).warnings
         == ()
     )
-
-
-def test_versions_are_shown_as_far_as_they_are_text(tmp_path: Path) -> None:
-    for robot in IDS:
-        version = "\x1b[2J" + "x" * 10_000 if robot == 2 else "0.1.0"
-        Computer(tmp_path / "hosts", robot, version=version).record(said(robot))
-    (line,) = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run").warnings
-    assert line.isprintable()
-    assert len(line) < 200
 
 
 # --- what it leaves --------------------------------------------------------------------------------
