@@ -152,6 +152,34 @@ def _plan(recorded: Sequence[RobotFile], choice: Choice, known: Known) -> _Plan:
     if not ours:
         raise MergeError(f"there are no recordings of a fleet {name} in what was given")
     files = FleetFiles(known.fleet)
+    given, left_out = _orders(ours, known, files, choice.until_ns)
+    mission = _last_mission(given, files.digests(ours))
+    since_ns, until_ns, warnings = _window(choice, mission)
+    inside = [file for file in ours if file.overlaps(since_ns, until_ns)]
+    if not inside:
+        there_is = _times(min(file.first_ns for file in ours), max(file.last_ns for file in ours))
+        raise MergeError(f"nothing was recorded {_times(since_ns, until_ns)}, only {there_is}")
+    fleet, found, said = files.choose(inside, mission.digest if mission else None)
+    given = [order for order in given if order.time_ns <= until_ns]
+    holding = _holding(given, mission, since_ns, frozenset(file.robot for file in found))
+    received = [(order.time_ns, _key(name, order), encode(order)) for order in holding]
+    epoch_ns = mission.epoch_ns if mission else None
+    return _Plan(found, fleet, since_ns, until_ns, epoch_ns, received, [*warnings, *said, *left_out])
+
+
+def _last_mission(given: Sequence[Order], digests: Collection[str]) -> Mission | None:
+    """The last mission of one of these fleet files."""
+    last: Mission | None = None
+    for order in given:
+        if isinstance(order, Mission) and order.digest in digests and newer(order, last):
+            last = order
+    return last
+
+
+def _orders(
+    ours: Sequence[RobotFile], known: Known, files: FleetFiles, until_ns: int | None
+) -> tuple[list[Order], list[str]]:
+    """The orders that count, and a line for each robot whose recording has others."""
     orders: dict[int, list[bytes]] = {}
     last_ns: dict[int, int] = {}
     for file in ours:
@@ -161,33 +189,15 @@ def _plan(recorded: Sequence[RobotFile], choice: Choice, known: Known) -> _Plan:
     def voters(given_ns: int) -> int:
         # An earlier copy says nothing of later orders. All others have a vote: what a recording says of its
         # own time must not take it from them.
-        away = {robot for robot in known.fetched_before if last_ns.get(robot, 0) < given_ns}
-        return len(orders.keys() - away)
+        return sum(robot not in known.fetched_before or last_ns[robot] >= given_ns for robot in orders)
 
     given, left_out = orders_given(orders, known.opener, voters)
-    given = [order for order in given if choice.until_ns is None or order.time_ns <= choice.until_ns]
-    mission: Mission | None = None
-    digests = files.digests(ours)
-    for order in given:
-        if isinstance(order, Mission) and order.digest in digests and newer(order, mission):
-            mission = order
-    since_ns, until_ns, warnings = _window(choice, mission)
-    inside = [
-        file for file in ours if any(first <= until_ns and last >= since_ns for first, last in file.stretches)
-    ]
-    if not inside:
-        there_is = _times(min(file.first_ns for file in ours), max(file.last_ns for file in ours))
-        raise MergeError(f"nothing was recorded {_times(since_ns, until_ns)}, only {there_is}")
-    fleet, found, said = files.choose(inside, None if mission is None else mission.digest)
     why = "no operator has sealed" if known.opener is not None else "most robots' recordings do not have"
+    lines = []
     for robot, count in sorted(left_out.items()):
         what = "an order is" if count == 1 else f"{count} orders are"
-        said.append(f"of {files.who(robot)} {what} left out, which {why}")
-    given = [order for order in given if order.time_ns <= until_ns]
-    holding = _holding(given, mission, since_ns, frozenset(file.robot for file in found))
-    received = [(order.time_ns, _key(name, order), encode(order)) for order in holding]
-    epoch_ns = None if mission is None else mission.epoch_ns
-    return _Plan(found, fleet, since_ns, until_ns, epoch_ns, received, [*warnings, *said])
+        lines.append(f"of {files.who(robot)} {what} left out, which {why}")
+    return [order for order in given if until_ns is None or order.time_ns <= until_ns], lines
 
 
 def _key(fleet: str, order: Order) -> str:
@@ -218,16 +228,14 @@ def _holding(
     """The orders from `since_ns` on; of earlier ones the mission's, and a stop that still holds for one of
     `robots`, with the resumes after it."""
     earlier = [order for order in given if order.time_ns < since_ns]
-    stopped = max((order.version for order in earlier if isinstance(order, Stop)), default=None)
-    halted = robots if stopped is not None else frozenset()
-    for order in earlier:
-        if stopped is not None and isinstance(order, Resume) and order.version >= stopped:
-            halted -= frozenset(order.robots) or robots
+    stopped = max((order.version for order in earlier if isinstance(order, Stop)), default=TIME_NS_MAX)
+    resumes = [order for order in earlier if isinstance(order, Resume) and order.version >= stopped]
+    is_halted = not robots <= frozenset().union(*(order.robots or robots for order in resumes))
     for order in given:
         if isinstance(order, Mission):
             holds = mission is not None and order.epoch_ns == mission.epoch_ns
         else:
-            holds = bool(halted) and stopped is not None and order.version >= stopped
+            holds = is_halted and order.version >= stopped
         if holds or order.time_ns >= since_ns:
             yield order
 

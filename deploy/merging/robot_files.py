@@ -18,7 +18,7 @@ from mcap.records import Attachment, Chunk, Metadata
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
-from handfast.agent.messages.types import TIME_NS_MAX
+from handfast.agent.messages.types import TIME_NS_MAX, Message
 from handfast.agent.recorder.folder import recording_files
 from handfast.agent.recorder.message_file import FLEET_ATTACHMENT, RUN_METADATA
 from handfast.agent.recorder.recorder import (
@@ -66,6 +66,9 @@ class RobotFile:
     @property
     def last_ns(self) -> int:
         return max(last for _, last in self.stretches)
+
+    def overlaps(self, since_ns: int, until_ns: int) -> bool:
+        return any(first <= until_ns and last >= since_ns for first, last in self.stretches)
 
 
 @dataclass
@@ -172,19 +175,23 @@ def _messages(
         reader = McapFile(file.path, wants, keys)
         try:
             for received_ns, key, message in reader.read():
-                if not since_ns <= received_ns <= until_ns or key in orders:
-                    continue
-                try:
-                    payload = encode(message) if key in own else b""  # read and validated as from the bus
-                except Exception:  # any type in any field, of a file that somebody made up
-                    payload = b""
-                if payload:
-                    yield received_ns, key, payload
-                else:
-                    damage.foreign[file.robot] += 1
+                if since_ns <= received_ns <= until_ns and key not in orders:
+                    if payload := _encoded(message) if key in own else b"":
+                        yield received_ns, key, payload
+                    else:
+                        damage.foreign[file.robot] += 1
         except RecordingError as error:
             if isinstance(error.__cause__, OSError):
                 raise MergeError(str(error)) from None
             damage.pieces[file.robot] += 1
-        lost = [each for each in reader.lost if (each.until_ns or until_ns) >= since_ns]
-        damage.pieces[file.robot] += sum((each.since_ns or since_ns) <= until_ns for each in lost)
+        for lost in reader.lost:
+            overlaps = (lost.until_ns or until_ns) >= since_ns and (lost.since_ns or since_ns) <= until_ns
+            damage.pieces[file.robot] += overlaps
+
+
+def _encoded(message: Message) -> bytes:
+    """A message as it is on the bus, so that it is validated as from there; b"" where it cannot be."""
+    try:
+        return encode(message)
+    except Exception:  # any type in any field, of a file that somebody made up
+        return b""

@@ -101,32 +101,32 @@ class RunData:
                 key_expressions.status(prefix, robot): self._status[robot],
             }
         relays = {key_expressions.relayed(prefix, robot) for robot in self._plant}
-        self._missions_from = {key_expressions.mission(prefix), *relays}
-        self._stops_from = {key_expressions.stop(prefix), *relays}
-        self._resumes_from = {key_expressions.resume(prefix), *relays}
+        self._orders_from: dict[type, set[str]] = {
+            Mission: {key_expressions.mission(prefix), *relays},
+            Stop: {key_expressions.stop(prefix), *relays},
+            Resume: {key_expressions.resume(prefix), *relays},
+        }
         self._events_key = key_expressions.events(prefix)
         self._ignored: dict[str, type[Message]] = {
             key_expressions.heartbeat(prefix): Heartbeat,
             key_expressions.ask(prefix): Ask,
         }
-        for robot in self._plant:
-            self._ignored[key_expressions.checks(prefix, robot)] = Checks
         """Messages that are recorded for people, and of which no table is made."""
-        self._texts_from = {key_expressions.status_texts(prefix, robot): robot for robot in self._plant}
-        self._beacons_from = {key_expressions.beacon(prefix, robot): robot for robot in self._plant}
         self._beacons: dict[int, deque[Beacon]] = {robot: deque(maxlen=BEACONS) for robot in self._plant}
+        self._texts_from: dict[str, int] = {}
+        self._beacons_from: dict[str, int] = {}
+        self._traced: dict[str, int] = {}
+        self._faults_from: dict[str, tuple[int, str]] = {key_expressions.faults(prefix): (0, "")}
         self._over_ns = TIME_NS_MAX
         """When the drive is over, by the last mission."""
-        self._traced = {
-            key: robot
-            for robot in self._plant
-            for key in (key_expressions.links(prefix, robot), key_expressions.plant_links(prefix, robot))
-        }
-        self._faults_from: dict[str, tuple[int, str]] = {key_expressions.faults(prefix): (0, "")} | {
-            key_expressions.faults_held(prefix, robot, role): (robot, role)
-            for robot in self._plant
-            for role in key_expressions.ROLES
-        }
+        for robot in self._plant:
+            self._ignored[key_expressions.checks(prefix, robot)] = Checks
+            self._texts_from[key_expressions.status_texts(prefix, robot)] = robot
+            self._beacons_from[key_expressions.beacon(prefix, robot)] = robot
+            self._traced[key_expressions.links(prefix, robot)] = robot
+            self._traced[key_expressions.plant_links(prefix, robot)] = robot
+            for role in key_expressions.ROLES:
+                self._faults_from[key_expressions.faults_held(prefix, robot, role)] = robot, role
 
     def feed(self, received_ns: int, key: str, message: Message) -> None:
         """Take one message that was received on `key` at `received_ns` (wall clock or virtual time)."""
@@ -140,29 +140,45 @@ class RunData:
             self.foreign += 1
         elif sink is not None and sink.is_of(message):
             sink.append(message)
-        elif type(message) is Mission and key in self._missions_from:
-            self._take_mission(message)
-        elif type(message) is Stop and key in self._stops_from:
-            self._stops.setdefault(message._replace(time_ns=0), message)
-        elif type(message) is Resume and key in self._resumes_from:
-            self._resumes.setdefault(message._replace(time_ns=0), message)
-        elif type(message) is LinkTrace and self._is_ours(key, message):
+        elif not self._take(received_ns, key, message):
+            self.foreign += 1
+
+    def _take(self, received_ns: int, key: str, message: Message) -> bool:
+        """Take a message of which there is no table; return False for one of nobody's."""
+        if isinstance(message, (Mission, Stop, Resume)):
+            return self._take_order(key, message)
+        if isinstance(message, LinkTrace):
+            if not self._is_ours(key, message):
+                return False
             entries = tuple(entry for entry in message.entries if entry.topic != _BEACON)
             self._links.append(message._replace(entries=entries))
-        elif type(message) is Faults and key in self._faults_from:
+        elif isinstance(message, Faults):
+            if (source := self._faults_from.get(key)) is None:
+                return False
             rules = self._texts.setdefault(message.rules, message.rules)  # said once a second: keep one
-            self.live_faults.append(
-                LiveFaults(received_ns, *self._faults_from[key], message._replace(rules=rules))
-            )
-        elif type(message) is Event and key == self._events_key:
+            self.live_faults.append(LiveFaults(received_ns, *source, message._replace(rules=rules)))
+        elif isinstance(message, Event) and key == self._events_key:
             self.events.append(message)
-        elif type(message) is StatusText and self._texts_from.get(key) == message.robot:
+        elif isinstance(message, StatusText) and self._texts_from.get(key) == message.robot:
             self.status_texts.append(message)
-        elif type(message) is Beacon and self._beacons_from.get(key) == message.robot:
+        elif isinstance(message, Beacon) and self._beacons_from.get(key) == message.robot:
             if message.time_ns <= self._over_ns:
                 self._beacons[message.robot].append(message)
-        elif self._ignored.get(key) is not type(message):
-            self.foreign += 1
+        else:
+            return self._ignored.get(key) is type(message)
+        return True
+
+    def _take_order(self, key: str, order: Mission | Stop | Resume) -> bool:
+        """Keep an order once: operators and agents repeat it."""
+        if key not in self._orders_from[type(order)]:
+            return False
+        if isinstance(order, Mission):
+            self._take_mission(order)
+        elif isinstance(order, Stop):
+            self._stops.setdefault(order._replace(time_ns=0), order)
+        else:
+            self._resumes.setdefault(order._replace(time_ns=0), order)
+        return True
 
     def _take_mission(self, mission: Mission) -> None:
         """Keeps a mission once; one that cannot be driven is not what the fleet did."""
@@ -189,8 +205,8 @@ class RunData:
         robot = message.robot if isinstance(message, _OF_ROBOTS) else 0
         if isinstance(message, (Faults, Mission, Stop, Resume)):
             # They are sent again for hours, always with the time at which they were sent.
-            known = self._missions_from | self._stops_from | self._resumes_from
-            return message.time_ns < received_ns and (key in self._faults_from or key in known)
+            known = any(key in keys for keys in self._orders_from.values())
+            return message.time_ns < received_ns and (key in self._faults_from or known)
         skew_ns, drift = self._clocks.get(robot, (0, 0.0))
         off_ns = abs(message.time_ns - skew_ns - received_ns)
         return bool(skew_ns or drift) and off_ns <= CLOCK_TOLERANCE_NS + abs(drift) * _RUN_NS_MAX

@@ -131,6 +131,10 @@ class Records:
             if not ended and not isinstance(record, MessageIndex):
                 yield record
             at = after
+        self._end(ended)
+
+    def _end(self, ended: bool) -> None:
+        """Determine what is lost, now that all has been read."""
         self._settle(None)
         chunks = self.summary.chunk_indexes if self.summary else []
         if chunks:

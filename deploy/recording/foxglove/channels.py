@@ -162,11 +162,7 @@ class Channels:
         is_first = self._next_ns is None
         self._next_ns = now_ns - now_ns % PERIOD_NS + PERIOD_NS
         safe_m, moment = self._latest.safe_m, self._latest.at(now_ns)
-        for robot, heard_ns in self._heard_ns.items():
-            if now_ns - heard_ns > self._silent_ns and robot not in self._silent:
-                self._silent.add(robot)
-                self._log.silent(robot)
-                self._has_changed = True
+        self._note_silent(now_ns)
         self._log.distances(moment.close, moment.hands)
         contents = []
         if is_first:
@@ -192,6 +188,13 @@ class Channels:
                 self._sent[topic] = now_ns, content
                 derived.append((topic, TOPICS[topic], stamped(content, now_ns)))
         return derived + self._lines(now_ns)
+
+    def _note_silent(self, now_ns: int) -> None:
+        for robot, heard_ns in self._heard_ns.items():
+            if now_ns - heard_ns > self._silent_ns and robot not in self._silent:
+                self._silent.add(robot)
+                self._log.silent(robot)
+                self._has_changed = True
 
     def _lines(self, now_ns: int) -> list[Derived]:
         lines, self._log.lines = self._log.lines, []

@@ -454,7 +454,7 @@ def test_a_recording_of_version_2_is_read_as_well(tmp_path: Path, monkeypatch: p
     """Its plant states do not say whether a body obeys."""
     sent = list(messages(FLEET, in_formation(FLEET)))
     monkeypatch.setattr(
-        "handfast.deploy.recording.recorder.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b"")
+        "handfast.agent.recorder.message_file.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b"")
     )
     folder = write_run(tmp_path / "run", FLEET, sent)
     assert_same(read_run(folder), fed(FLEET, sent))
