@@ -109,36 +109,22 @@ def loop(
         ticks_from: when the node ticks from a time on, ns; None: as it says itself.
     """
     ticks = Ticks(node, clock.now_ns()) if ticks_from is None else ticks_from(clock.now_ns())
-    end_by_ns: int | None = None
-    # Not in one tick: each of them touches much that has left the caches since it was looked at last.
-    links_due_ns, parent_due_ns = ticks.due_ns + LINKS_PERIOD_NS // 4, ticks.due_ns + 3 * LINKS_PERIOD_NS // 4
-    say_due_ns = 0
-    said = "", ""
-    watches = Watches(bus)
+    watches, said = Watches(bus), _Condition(log, service)
+    chores = _Chores(node, bus, clock, shutdown, ticks, names or {}, log)
     heard: Sequence[str] = ()
-    has_epoch = False
+    end_by_ns: int | None = None
     made = skipped = 0
     while True:
         if node.subscriptions is not heard:
             heard = node.subscriptions
             bus.listen(heard)
-        clock.sleep_until(ticks.due_ns)
-        start_ns = clock.now_ns()
-        if start_ns - ticks.due_ns > STALL_NS:
-            # What others sent meanwhile is here, but Zenoh's thread has not run either.
-            clock.sleep_until(start_ns + SETTLE_NS)
-            start_ns = clock.now_ns()
+        start_ns = _wake_ns(clock, ticks.due_ns)
         # Before the clock is read: nothing is from the future for a thread that was held up in between.
         waiting = bus.drain()
         now_ns, missed, late_ns = ticks.take(clock.now_ns())
         made += 1
         skipped += missed
-        if late_ns * TOLD_SHARE > node.period_ns:
-            node.late(now_ns, late_ns)
-        for key, here in watches.update(node.watched):
-            node.present(key, here)
-        for key, payload in waiting:
-            node.receive(now_ns, key, payload)
+        _receive(node, watches, waiting, now_ns, late_ns)
         if shutdown.asked and end_by_ns is None:
             if skipped:
                 log(f"missed {skipped} of {made + skipped} ticks")
@@ -154,26 +140,89 @@ def loop(
             bus.publish(key, payload)
         if keeper is not None:
             keeper.step()
-        condition = node.condition
-        if condition is not said and condition != said and (condition[0] != said[0] or now_ns >= say_due_ns):
-            text = f"{condition[0]}: {condition[1]}" if condition[1] else condition[0]
-            if condition[0] != said[0]:  # reasons alone may change often
-                log(printable(text))
-            service.says(text)
-            said, say_due_ns = condition, now_ns + SAY_PERIOD_NS
+        said.update(now_ns, node.condition)
         service.lives(start_ns)
         if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
             return
-        if now_ns >= links_due_ns:
-            links_due_ns = now_ns + LINKS_PERIOD_NS
-            look_at_links(node, bus, now_ns, names or {}, log)
-        if now_ns >= parent_due_ns:
-            parent_due_ns = now_ns + PARENT_PERIOD_NS
-            shutdown.look_for_parent()
-        if not has_epoch and ticks.epoch_ns is not None:
-            has_epoch = True
-            clock.begin(ticks.epoch_ns)
+        chores.update(now_ns)
         ticks.plan(now_ns)
+
+
+def _wake_ns(clock: Clock, due_ns: int) -> int:
+    """Sleep until a deadline; return the time after it."""
+    clock.sleep_until(due_ns)
+    start_ns = clock.now_ns()
+    if start_ns - due_ns > STALL_NS:
+        # What others sent meanwhile is here, but Zenoh's thread has not run either.
+        clock.sleep_until(start_ns + SETTLE_NS)
+        start_ns = clock.now_ns()
+    return start_ns
+
+
+def _receive(
+    node: Node, watches: Watches, waiting: Sequence[tuple[str, bytes]], now_ns: int, late_ns: int
+) -> None:
+    """Give `node` what has happened since its last tick."""
+    if late_ns * TOLD_SHARE > node.period_ns:
+        node.late(now_ns, late_ns)
+    for key, here in watches.update(node.watched):
+        node.present(key, here)
+    for key, payload in waiting:
+        node.receive(now_ns, key, payload)
+
+
+class _Condition:
+    """Reports a node's state and reason to the log and to systemd."""
+
+    def __init__(self, log: Log, service: SystemdNotifier) -> None:
+        self._log, self._service = log, service
+        self._said = "", ""
+        self._due_ns = 0
+
+    def update(self, now_ns: int, condition: tuple[str, str]) -> None:
+        said = self._said
+        if condition is said or condition == said:
+            return
+        is_new = condition[0] != said[0]
+        if not is_new and now_ns < self._due_ns:
+            return  # reasons alone may change often
+        text = f"{condition[0]}: {condition[1]}" if condition[1] else condition[0]
+        if is_new:
+            self._log(printable(text))
+        self._service.says(text)
+        self._said, self._due_ns = condition, now_ns + SAY_PERIOD_NS
+
+
+class _Chores:
+    """Rare work between ticks. Each piece has a tick of its own: it touches much that has left the caches."""
+
+    def __init__(
+        self,
+        node: Node,
+        bus: Bus,
+        clock: Clock,
+        shutdown: Shutdown,
+        ticks: Deadlines,
+        names: Mapping[str, str],
+        log: Log,
+    ) -> None:
+        self._node, self._bus, self._clock, self._shutdown = node, bus, clock, shutdown
+        self._ticks, self._names, self._log = ticks, names, log
+        self._links_due_ns = ticks.due_ns + LINKS_PERIOD_NS // 4
+        self._parent_due_ns = ticks.due_ns + 3 * LINKS_PERIOD_NS // 4
+        self._has_epoch = False
+
+    def update(self, now_ns: int) -> None:
+        if now_ns >= self._links_due_ns:
+            self._links_due_ns = now_ns + LINKS_PERIOD_NS
+            look_at_links(self._node, self._bus, now_ns, self._names, self._log)
+        if now_ns >= self._parent_due_ns:
+            self._parent_due_ns = now_ns + PARENT_PERIOD_NS
+            self._shutdown.look_for_parent()
+        epoch_ns = self._ticks.epoch_ns
+        if epoch_ns is not None and not self._has_epoch:
+            self._has_epoch = True
+            self._clock.begin(epoch_ns)
 
 
 def look_at_links(node: Node, bus: Bus, now_ns: int, names: Mapping[str, str], log: Log) -> None:
