@@ -24,7 +24,7 @@ from handfast.agent.messages.types import FLOAT_MAX
 from handfast.agent.runtime.loop import Log
 from handfast.agent.runtime.process import StartError
 from handfast.plant.backend import Begin, Place, PlantBackend
-from handfast.plant.pose_file import PersistentBody, PoseFile, PoseFileError
+from handfast.plant.server import PersistentBody, PoseFile, PoseFileError
 from handfast.plant.server import main as serve
 
 

@@ -26,7 +26,7 @@ COAST: Final = Command(0.0, 0.0)
 class Reading(NamedTuple):
     """The state of a body at one instant.
 
-    The pose of a simulated body is exact: `plant.measurement` adds the errors of its sensors.
+    The pose of a simulated body is exact: `plant.node` adds the errors of its sensors.
 
     Attributes:
         time_ns: when `pose` was true, not when it was read; ns of the wall clock.

@@ -17,7 +17,7 @@ from handfast.agent.formation.geometry import resolved
 from handfast.agent.supervision.state_machine import at_rest
 from handfast.bridges.mavlink.ardupilot import constants, frames
 from handfast.bridges.mavlink.bridge.backend import MavlinkPlant, session
-from handfast.bridges.mavlink.session.signing import Signing
+from handfast.bridges.mavlink.session.identity import Signing
 from handfast.bridges.mavlink.simulator.in_memory import LATENCY_NS, STEP_NS
 from handfast.bridges.mavlink.simulator.rover import Rover
 from handfast.bridges.mavlink.simulator.settings import Settings, settings_of

@@ -18,7 +18,7 @@ from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.runtime.loop import Log
 from handfast.agent.runtime.process import StartError
-from handfast.bridges.mavlink.session.signing import SigningError, open_signing
+from handfast.bridges.mavlink.session.identity import SigningError, open_signing
 from handfast.bridges.mavlink.transport.transport import open_transport
 from handfast.plant.backend import PlantBackend
 from handfast.plant.server import main as serve

@@ -23,7 +23,7 @@ from handfast.agent.messages.validation import Malformed
 from handfast.agent.runtime.clock import RealClock
 from handfast.agent.transport.bus import Bus
 from handfast.bridges.mavlink.ardupilot.constants import AVOID_ENABLE, RIGHT_FAILSAFES
-from handfast.bridges.mavlink.session.parameters import AUDITED
+from handfast.bridges.mavlink.session.requests import AUDITED
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots
 from handfast.deploy.drive import realtime

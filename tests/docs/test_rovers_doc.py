@@ -8,7 +8,7 @@ from pathlib import Path
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
-from handfast.bridges.mavlink.session.parameters import AUDITED
+from handfast.bridges.mavlink.session.requests import AUDITED
 from handfast.deploy.check.check import check
 from handfast.deploy.console.data_files import FLEETS
 

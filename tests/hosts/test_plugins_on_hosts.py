@@ -14,7 +14,7 @@ import pytest
 from handfast.agent.fleet.loading import load_fleet
 from handfast.deploy.console.data_files import FLEETS
 from handfast.plant.backend import Place
-from handfast.plant.pose_file import PoseFile
+from handfast.plant.server import PoseFile
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.hosts import Hosts
 from tests.process.examples import installed

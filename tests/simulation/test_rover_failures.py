@@ -14,7 +14,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants, frames
 from handfast.bridges.mavlink.ardupilot.frames import datum_of
 from handfast.bridges.mavlink.bridge.backend import NOT_HEARD_YET
-from handfast.bridges.mavlink.session.signing import Signing, Timestamps
+from handfast.bridges.mavlink.session.identity import Signing, Timestamps
 from handfast.bridges.mavlink.simulator.navigation import Variances
 from handfast.plant.backend import Command
 from tests.rover_scene import GO, MASS, START_NS, STOPS_S, Bridge, Scene, stands, take

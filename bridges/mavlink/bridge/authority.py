@@ -7,15 +7,21 @@ top at every tick, and the first row that applies is taken; nothing else changes
 Once the fleet has clearance to drive, a vehicle that goes out of GUIDED or is disarmed is **released**: at
 once, and until its operator has given it back (GUIDED, armed) *and* the fleet has then been cleared again, by
 a new mission or a resume. The bridge never goes back into GUIDED by itself.
+
+`OwnFailsafe` tells a failsafe of the vehicle's own from its operator, `Takeover` puts the vehicle into GUIDED
+where the fleet file says so.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
+from handfast.agent.common.time import NS_PER_S
 from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.bridges.mavlink.ardupilot import constants
 
 UNHEARD: Final = "nothing was heard of it"
 """How it is said of a vehicle that its operator may have had."""
@@ -170,3 +176,111 @@ class Authority:
         elif situation.operator:
             self._taken, self.holder = _given_back(situation.operator), Holder.RELEASED
         return given_back
+
+
+TOGETHER_NS: Final = 2 * NS_PER_S
+"""A text and a change of mode that are no further apart are one matter, whichever comes first."""
+BREACHED: Final = "fence breached"
+"""What is heard of FENCE_STATUS."""
+_FAILSAFE: Final = re.compile(
+    r"\bfailsafe\b(?! clear)|\bBattery \d+ is (low|critical)\b|\bCrash: |\bfence breach", re.IGNORECASE
+)
+
+
+class OwnFailsafe:
+    """Tells whether a vehicle went out of GUIDED by a failsafe of its own, rather than by its operator.
+
+    A heartbeat only says which mode it is in. ArduPilot also says what made it change: ``EKF failsafe``,
+    ``Radio Failsafe``, ``GCS Failsafe``, ``Battery 1 is low ...``, ``Crash: Going to HOLD`` (Rover's
+    failsafe.cpp, crash_check.cpp, AP_BattMonitor.cpp). Of its fence Rover says no text, but FENCE_STATUS
+    tells: `BREACHED`.
+
+    Attributes:
+        why: the vehicle's own text, "" where no failsafe has it.
+    """
+
+    def __init__(self) -> None:
+        self.why = ""
+        self._text, self._said_ns, self._left_ns = "", 0, 0
+        self._operator = ""
+
+    def hear(self, now_ns: int, text: str) -> None:
+        """Takes a text of the vehicle."""
+        if _FAILSAFE.search(text):
+            self._text, self._said_ns = text, now_ns
+
+    def step(self, now_ns: int, operator: str) -> None:
+        """Takes what keeps commands from it: another mode than GUIDED, disarmed; "" nothing."""
+        if operator != self._operator:
+            # From one mode into another it is its operator who brings it, whatever had it before.
+            self._left_ns = 0 if self._operator or not operator else now_ns
+            self._operator, self.why = operator, ""
+        if self._left_ns and self._text and abs(self._said_ns - self._left_ns) <= TOGETHER_NS:
+            self.why = self._text
+
+
+TAKEOVER_PERIOD_NS: Final = 3 * NS_PER_S
+"""Between two attempts: the vehicle's own checks may refuse the first ones."""
+
+
+class Commanded(Protocol):
+    """What a takeover needs of the session with the vehicle (`session.Session`)."""
+
+    @property
+    def mode(self) -> int | None: ...
+
+    @property
+    def armed(self) -> bool: ...
+
+    def command_mode(self, mode: int) -> None: ...
+
+    def command_arm(self, arm: bool) -> None: ...
+
+
+class Takeover:
+    """Takes a vehicle over once: from when it obeys, or its operator undoes a step, its operator decides.
+
+    Args:
+        wanted: whether to take it over at all (`mavlink.arm`).
+
+    Attributes:
+        armed_here: whether its being armed is the bridge's doing.
+    """
+
+    def __init__(self, link: Commanded, log: Callable[[str], None], *, wanted: bool) -> None:
+        self._link, self._log, self._wanted = link, log, wanted
+        self._asked_ns: int | None = None
+        self._was_guided = False
+        self.armed_here = False
+
+    def begin_again(self) -> None:
+        """The vehicle has begun a new life, or the connection has: no mode of before says anything."""
+        self._was_guided = False
+
+    def step(self, now_ns: int, holder: Holder, trouble: str) -> None:
+        """A tick. What its operator does counts while there is `trouble`, too; then nothing is asked for."""
+        link = self._link
+        if holder is Holder.RELEASED and not link.armed:
+            self.armed_here = False  # whoever arms it from now on is its operator
+        if not self._wanted:
+            return
+        if holder is Holder.BRIDGE:
+            self._wanted = False
+            return
+        if link.mode == constants.MODE_GUIDED:
+            self._was_guided = True
+        elif self._was_guided:
+            self._wanted = False
+            self._log("its operator has taken it out of GUIDED again: it is asked no more")
+            return
+        due = self._asked_ns is None or now_ns - self._asked_ns >= TAKEOVER_PERIOD_NS
+        if trouble or holder is not Holder.OPERATOR or not due:
+            return
+        if link.mode == constants.MODE_GUIDED:
+            self._log("arming it (mavlink.arm = true)")
+            link.command_arm(True)
+            self.armed_here = True
+        elif not link.armed:  # else somebody drives it
+            self._log("asking for GUIDED (mavlink.arm = true)")
+            link.command_mode(constants.MODE_GUIDED)
+        self._asked_ns = now_ns

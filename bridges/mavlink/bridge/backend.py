@@ -18,16 +18,21 @@ from handfast.agent.supervision.stop_latch import AWAITED
 from handfast.bridges.mavlink.ardupilot import constants, frames
 from handfast.bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld
-from handfast.bridges.mavlink.bridge import link_checks, navigation_checks, preflight_checks
-from handfast.bridges.mavlink.bridge.authority import REBOOTED, UNHEARD, Authority, Holder
+from handfast.bridges.mavlink.bridge import driving_checks, preflight_checks
+from handfast.bridges.mavlink.bridge.authority import (
+    BREACHED,
+    REBOOTED,
+    UNHEARD,
+    Authority,
+    Holder,
+    OwnFailsafe,
+    Takeover,
+)
 from handfast.bridges.mavlink.bridge.estimate import Estimate
-from handfast.bridges.mavlink.bridge.failsafe import BREACHED, OwnFailsafe
 from handfast.bridges.mavlink.bridge.setpoint import Bounds, MotionCheck, Setpoint
-from handfast.bridges.mavlink.bridge.takeover import Takeover
-from handfast.bridges.mavlink.session.parameters import AUDITED
+from handfast.bridges.mavlink.session.identity import Signing, session_settings
+from handfast.bridges.mavlink.session.requests import AUDITED
 from handfast.bridges.mavlink.session.session import Session
-from handfast.bridges.mavlink.session.settings import session_settings
-from handfast.bridges.mavlink.session.signing import Signing
 from handfast.bridges.mavlink.transport.transport import Transport
 from handfast.plant.backend import WAITING, Check, Command, PlantBackend, Reading, Said
 
@@ -250,7 +255,7 @@ class MavlinkPlant(PlantBackend):
         return (
             absence
             or link.problem
-            or link_checks.silence(link, now_ns)
+            or driving_checks.silence(link, now_ns)
             or self._other_bridge(now_ns)
             or self._unfit
             or self._unlocated
@@ -271,9 +276,9 @@ class MavlinkPlant(PlantBackend):
         reports = link.ekf, link.gps, link.origin, link.parameter_changes
         if reports != self._judged or now_ns >= self._judged_until_ns:
             self._judged, self._judged_until_ns = reports, now_ns + JUDGED_NS
-            self._unfit = navigation_checks.gps_trouble(link, now_ns)
-            ekf = navigation_checks.ekf_trouble(link, now_ns)
-            self._unlocated = ekf or navigation_checks.origin_trouble(link, self._datum)
+            self._unfit = driving_checks.gps_trouble(link, now_ns)
+            ekf = driving_checks.ekf_trouble(link, now_ns)
+            self._unlocated = ekf or driving_checks.origin_trouble(link, self._datum)
 
     @property
     def _trouble(self) -> str:

@@ -13,9 +13,14 @@ from typing import Final, NamedTuple
 from handfast.agent.common.time import NS_PER_S, Clock
 from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.bridges.mavlink.session.identity import (
+    SessionSettings,
+    Signing,
+    SigningError,
+    open_signing,
+    session_settings,
+)
 from handfast.bridges.mavlink.session.session import Session
-from handfast.bridges.mavlink.session.settings import SessionSettings, session_settings
-from handfast.bridges.mavlink.session.signing import Signing, SigningError, open_signing
 from handfast.bridges.mavlink.transport.transport import Transport, open_transport
 
 PERIOD_NS: Final = NS_PER_S // 25
@@ -46,7 +51,7 @@ class SigningSetup:
     It listens twice: as somebody without a key, who hears everything, and as somebody with it.
 
     Args:
-        settings: `bridges.mavlink.session.settings.session_settings`.
+        settings: `bridges.mavlink.session.identity.session_settings`.
         signing: the key, and the timestamps of the vehicle's bridge.
 
     Attributes:

@@ -14,19 +14,19 @@ from handfast.bridges.mavlink.ardupilot.frames import Geodetic
 from handfast.bridges.mavlink.session import reports
 from handfast.bridges.mavlink.session.boot_clock import BootClock
 from handfast.bridges.mavlink.session.codec import Codec
-from handfast.bridges.mavlink.session.commands import Commands
-from handfast.bridges.mavlink.session.parameters import Parameters
-from handfast.bridges.mavlink.session.participants import Participant, Participants
+from handfast.bridges.mavlink.session.identity import SessionSettings
 from handfast.bridges.mavlink.session.reports import (
     AttitudeSample,
     Ekf,
     Gps,
+    Participant,
+    Participants,
     PositionSample,
     Status,
     Text,
     Texts,
 )
-from handfast.bridges.mavlink.session.settings import SessionSettings
+from handfast.bridges.mavlink.session.requests import Commands, Parameters
 from handfast.bridges.mavlink.session.streams import Streams, wanted_messages
 
 QUEUE_MAX: Final = 256

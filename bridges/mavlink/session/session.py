@@ -18,11 +18,11 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants, frames
 from handfast.bridges.mavlink.session import reports
-from handfast.bridges.mavlink.session.commands import Outcome
+from handfast.bridges.mavlink.session.identity import KEY_BYTES
+from handfast.bridges.mavlink.session.identity import SessionSettings as SessionSettings
 from handfast.bridges.mavlink.session.receiver import Receiver
 from handfast.bridges.mavlink.session.reports import AttitudeSample, Battery, PositionSample, Text
-from handfast.bridges.mavlink.session.settings import SessionSettings as SessionSettings
-from handfast.bridges.mavlink.session.signing import KEY_BYTES
+from handfast.bridges.mavlink.session.requests import Outcome
 from handfast.bridges.mavlink.session.streams import FENCE, StreamRow
 
 HEARTBEAT_PERIOD_NS: Final = NS_PER_S

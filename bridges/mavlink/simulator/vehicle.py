@@ -13,9 +13,8 @@ from handfast.agent.common.random_streams import stream, uniform
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics, limited
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, local_to_geodetic
-from handfast.bridges.mavlink.simulator.fence import Fence
 from handfast.bridges.mavlink.simulator.guided import Guided, Pose
-from handfast.bridges.mavlink.simulator.navigation import Navigation, Reception
+from handfast.bridges.mavlink.simulator.navigation import Fence, Navigation, Reception
 from handfast.bridges.mavlink.simulator.settings import Parameters, Settings
 
 CREEP_M: Final = (0.03, 0.09)

@@ -78,7 +78,7 @@ def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
     """Gives these robots their keys, and says of each what became of it; how many sign."""
     from handfast.agent.runtime.clock import RealClock
     from handfast.bridges.mavlink.bridge.signing_setup import Outcome, SigningSetup, give_keys, open_setup
-    from handfast.bridges.mavlink.session.signing import SigningError
+    from handfast.bridges.mavlink.session.identity import SigningError
 
     def ended(robot: int, outcome: Outcome) -> None:
         print(f"robot {robot}: {'' if outcome.done else NOT_DONE}{outcome.text}", flush=True)
@@ -118,7 +118,7 @@ def prepare_keys(robots: Sequence[Robot], *, make: bool) -> None:
     Raises:
         InputError: a key is missing, or cannot be used or made.
     """
-    from handfast.bridges.mavlink.session.signing import SigningError, load_key, make_key
+    from handfast.bridges.mavlink.session.identity import SigningError, load_key, make_key
 
     for robot in robots:
         link = robot.section(MavlinkSection)

@@ -25,7 +25,7 @@ class Needs:
     Attributes:
         writes: folders that it writes to, absolute, or below the home with ``~/``.
         devices: drives a body that is real: it opens devices, and is found by others in the shared ``/tmp``,
-            where a connection is locked (`bridges.mavlink.transport.lock`).
+            where a connection is locked (`bridges.mavlink.transport.transport`).
         others_code: runs a plugin: nobody knows what that needs of memory.
         others_hardware: runs a plant of others, which may be on a bus of another kind, or in ``/sys``.
         realtime: asks for SCHED_FIFO (`agent.runtime.realtime`).

@@ -15,7 +15,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.points import Floats
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.messages.types import Faults
-from handfast.plant.measurement import JUMP_SHARE, Measurement
+from handfast.plant.node import JUMP_SHARE, Measurement
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0%s }, { id = 2, x_m = 2, y_m = 0%s }]

@@ -19,7 +19,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.deploy.console.data_files import FLEETS
 from handfast.plant.__main__ import main as plant
 from handfast.plant.backend import Check, Command, PlantBackend, Reading
-from handfast.plant.pose_file import PersistentBody, PoseFile, PoseFileError
+from handfast.plant.server import PersistentBody, PoseFile, PoseFileError
 from handfast.plant.unicycle import from_fleet
 from tests.unit.agent.fleet.fleet_texts import SMALL
 
@@ -44,7 +44,7 @@ def test_nothing_is_known_of_a_new_file(tmp_path: Path):
 def test_it_outlives_a_process_that_is_killed(tmp_path: Path):
     file = tmp_path / "pose"
     code = (
-        "import os, pathlib, signal; from handfast.plant.pose_file import PoseFile; "
+        "import os, pathlib, signal; from handfast.plant.server import PoseFile; "
         "from handfast.agent.control.hand import Pose; "
         f"s = PoseFile(pathlib.Path({str(file)!r})); s.write(Pose(1.5, -2.0, 0.25, 3.0, 0.0)); "
         "os.kill(os.getpid(), signal.SIGKILL)"

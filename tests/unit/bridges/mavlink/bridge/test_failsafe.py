@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.bridge.failsafe import TOGETHER_NS, OwnFailsafe
+from handfast.bridges.mavlink.bridge.authority import TOGETHER_NS, OwnFailsafe
 
 HOLD, MANUAL = "mode HOLD, not GUIDED", "mode MANUAL, not GUIDED"
 T0 = 1000 * NS_PER_S

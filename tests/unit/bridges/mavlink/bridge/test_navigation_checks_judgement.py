@@ -7,7 +7,7 @@ import pytest
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.bridge.backend import JUDGED_NS
-from handfast.bridges.mavlink.bridge.navigation_checks import REPORTED_NS
+from handfast.bridges.mavlink.bridge.driving_checks import REPORTED_NS
 from tests.rover_scene import Scene
 
 

@@ -22,8 +22,13 @@ from handfast.bridges.mavlink.bridge.signing_setup import (
     SigningSetup,
     give_keys,
 )
-from handfast.bridges.mavlink.session.settings import session_settings
-from handfast.bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
+from handfast.bridges.mavlink.session.identity import (
+    Signing,
+    Timestamps,
+    make_key,
+    open_signing,
+    session_settings,
+)
 from handfast.bridges.mavlink.simulator.settings import settings_of
 from tests.rover_scene import START_NS, Bridge, Scene, World, heartbeat, rovers
 

@@ -7,8 +7,7 @@ from typing import Any, cast
 import pytest
 
 from handfast.bridges.mavlink.ardupilot.constants import MODE_GUIDED, MODE_HOLD, MODE_MANUAL
-from handfast.bridges.mavlink.bridge.authority import Holder
-from handfast.bridges.mavlink.bridge.takeover import PERIOD_NS, Takeover
+from handfast.bridges.mavlink.bridge.authority import TAKEOVER_PERIOD_NS, Holder, Takeover
 from handfast.bridges.mavlink.session.session import Session
 
 
@@ -38,13 +37,13 @@ def made(link: Link, *, wanted: bool = True) -> Takeover:
 
 def test_it_asks_for_guided_then_arms_and_repeats_with_patience(link: Link) -> None:
     takeover = made(link)
-    for now_ns in (0, PERIOD_NS - 1, PERIOD_NS):
+    for now_ns in (0, TAKEOVER_PERIOD_NS - 1, TAKEOVER_PERIOD_NS):
         takeover.step(now_ns, Holder.OPERATOR, "")
     assert link.asked == [MODE_GUIDED, MODE_GUIDED]
     assert not takeover.armed_here
     link.mode = MODE_GUIDED
-    takeover.step(2 * PERIOD_NS - 1, Holder.OPERATOR, "")
-    takeover.step(2 * PERIOD_NS, Holder.OPERATOR, "")
+    takeover.step(2 * TAKEOVER_PERIOD_NS - 1, Holder.OPERATOR, "")
+    takeover.step(2 * TAKEOVER_PERIOD_NS, Holder.OPERATOR, "")
     assert link.asked[2:] == [True]
     assert takeover.armed_here
 
@@ -71,7 +70,7 @@ def test_a_vehicle_that_somebody_drives_is_left_alone(link: Link) -> None:
 def test_once_it_obeyed_it_is_asked_no_more(link: Link) -> None:
     takeover = made(link)
     takeover.step(0, Holder.BRIDGE, "")
-    takeover.step(PERIOD_NS, Holder.OPERATOR, "")
+    takeover.step(TAKEOVER_PERIOD_NS, Holder.OPERATOR, "")
     assert link.asked == []
 
 
@@ -82,7 +81,7 @@ def test_an_operator_who_takes_it_out_of_guided_ends_it(link: Link, trouble: str
     takeover.step(0, Holder.NOBODY, trouble)
     link.mode = MODE_HOLD
     takeover.step(1, Holder.NOBODY, trouble)
-    takeover.step(PERIOD_NS, Holder.OPERATOR, "")
+    takeover.step(TAKEOVER_PERIOD_NS, Holder.OPERATOR, "")
     assert link.asked == []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants
-from handfast.bridges.mavlink.session.parameters import AUDITED, Parameters, further
+from handfast.bridges.mavlink.session.requests import AUDITED, Parameters, further
 
 MS = NS_PER_S // 1000
 NAMES = ("A", "B", "C", "D", "E", "F")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from handfast.bridges.mavlink.ardupilot import constants
-from handfast.bridges.mavlink.session.participants import HEARD_NS, KEPT, Participant, Participants
+from handfast.bridges.mavlink.session.reports import HEARD_NS, KEPT, Participant, Participants
 
 OWN = (1, constants.COMPONENT_ONBOARD_COMPUTER)
 VEHICLE = 1

@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session.identity import EPOCH_S, Signing, Timestamps
 from handfast.bridges.mavlink.session.session import Session, SessionSettings
-from handfast.bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
 from tests.unit.bridges.mavlink.session.clock_error import error_ns
 
 T0 = 1_700_000_000 * NS_PER_S

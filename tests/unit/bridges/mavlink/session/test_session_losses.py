@@ -12,8 +12,8 @@ import pytest
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic
+from handfast.bridges.mavlink.session.identity import EPOCH_S, Signing, Timestamps
 from handfast.bridges.mavlink.session.session import Session, SessionSettings
-from handfast.bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
 from handfast.bridges.mavlink.simulator.rover import Rover
 from handfast.bridges.mavlink.simulator.settings import Settings
 

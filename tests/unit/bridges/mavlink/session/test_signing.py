@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from handfast.agent.security.private_files import KeyFileError
-from handfast.bridges.mavlink.session import signing
-from handfast.bridges.mavlink.session.signing import (
+from handfast.bridges.mavlink.session import identity
+from handfast.bridges.mavlink.session.identity import (
     AHEAD,
     EPOCH_S,
     STEPS_PER_S,
@@ -139,7 +139,7 @@ def test_a_disk_that_fails_is_told_and_does_not_stop_the_stamps(
         tried.set()
         raise KeyFileError(f"cannot write {path}: no space left on device")
 
-    monkeypatch.setattr(signing, "_write", fail)
+    monkeypatch.setattr(identity, "_write", fail)
     late_ns = NOW_NS + 15 * 10**9
     assert stamps.next(late_ns) == NOW + 15 * STEPS_PER_S
     assert tried.wait(10)
@@ -157,7 +157,7 @@ def test_a_damaged_or_unreachable_file_is_told(tmp_path: Path) -> None:
 
 def test_the_state_folder_is_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    assert signing.state_file("my rovers/3") == tmp_path / "handfast" / "signing-my_rovers_3"
+    assert identity.state_file("my rovers/3") == tmp_path / "handfast" / "signing-my_rovers_3"
     monkeypatch.setenv("XDG_STATE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert signing.state_file("r") == tmp_path / ".local" / "state" / "handfast" / "signing-r"
+    assert identity.state_file("r") == tmp_path / ".local" / "state" / "handfast" / "signing-r"

@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from handfast.bridges.mavlink.session.codec import Codec
+from handfast.bridges.mavlink.session.codec import Codec, WholeFrames
+from handfast.bridges.mavlink.session.identity import SessionSettings
 from handfast.bridges.mavlink.session.receiver import Receiver
-from handfast.bridges.mavlink.session.settings import SessionSettings
-from handfast.bridges.mavlink.session.whole_frames import WholeFrames
 
 WANTED = tuple(Receiver(SessionSettings())._handlers)
 UNWANTED = dialect.MAVLINK_MSG_ID_VFR_HUD

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from handfast.bridges.mavlink.ardupilot import constants
-from handfast.bridges.mavlink.simulator.fence import Fence
+from handfast.bridges.mavlink.simulator.navigation import Fence
 from tests.unit.bridges.mavlink.rover_bench import Bench, ready
 
 FENCED = {"FENCE_ENABLE": 1.0, "FENCE_RADIUS": 10.0, "FENCE_ACTION": 2.0}

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.transport.line_contents import LineContents, first_message
+from handfast.bridges.mavlink.transport.port_diagnosis import LineContents, first_message
 from tests.rover_serial import misread
 
 BAUD = 57_600

@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.transport import port_diagnosis
 from handfast.bridges.mavlink.transport import transport as transport_module
+from handfast.bridges.mavlink.transport.channels import Serial
 from handfast.bridges.mavlink.transport.connection_string import Unusable, parse_connection
-from handfast.bridges.mavlink.transport.serial_channel import Serial
 from handfast.bridges.mavlink.transport.transport import Timing, Transport, open_transport
 from tests.rover_serial import misread
 

@@ -18,12 +18,17 @@ from typing import Any
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.transport import channels, lock
+from handfast.bridges.mavlink.transport import channels
 from handfast.bridges.mavlink.transport import transport as transport_module
 from handfast.bridges.mavlink.transport.channels import PEER_NS, Tcp, UdpIn, UdpOut
 from handfast.bridges.mavlink.transport.connection_string import parse_connection
-from handfast.bridges.mavlink.transport.lock import ConnectionLock, InUse
-from handfast.bridges.mavlink.transport.transport import Timing, Transport, open_transport
+from handfast.bridges.mavlink.transport.transport import (
+    ConnectionLock,
+    InUse,
+    Timing,
+    Transport,
+    open_transport,
+)
 
 LOCALHOST = "127.0.0.1"
 TIMING = Timing(retry_s=0.005, retry_max_s=0.02)
@@ -441,7 +446,7 @@ def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
         "import tempfile\n"
         f"tempfile.tempdir = {str(tmp_path)!r}\n"
         "from handfast.bridges.mavlink.transport.connection_string import parse_connection\n"
-        "from handfast.bridges.mavlink.transport.lock import ConnectionLock\n"
+        "from handfast.bridges.mavlink.transport.transport import ConnectionLock\n"
         "ConnectionLock(parse_connection('udpin:0.0.0.0:14550'))\n"
         "os.kill(os.getpid(), 9)\n"
     )
@@ -455,4 +460,4 @@ def test_a_lock_folder_that_others_may_write_to_is_refused(tmp_path: Path) -> No
     folder.mkdir()
     folder.chmod(0o777)
     with pytest.raises(OSError, match="nobody else may write to"):
-        lock.ConnectionLock(parse_connection("udpin:0.0.0.0:14550"))
+        transport_module.ConnectionLock(parse_connection("udpin:0.0.0.0:14550"))

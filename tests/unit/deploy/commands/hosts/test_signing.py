@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.bridges.mavlink.session.signing import load_key
+from handfast.bridges.mavlink.session.identity import load_key
 from handfast.deploy.cli import main
 from handfast.deploy.commands.hosts.signing import prepare_keys
 from tests.rover_scene import rovers
