@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from handfast.deploy.verdict.run_result import RunResult
 
 EARLY_S: Final = 0.5
-"""A drive that ended so long before its time has ended early (`deploy.verdict.completeness` says it, too)."""
+"""A drive that ended so long before its time has ended early (`deploy.verdict.missing` says it, too)."""
 
 
 def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolder:

@@ -110,11 +110,6 @@ def advice(result: RunResult) -> list[str]:
                 "distance (<code>handfast check</code>) and that the plants can follow (limits, lag)."
             )
     out += more
-    if any(off.too_fast for off in result.tracking.off):
-        out.append(
-            "No robot keeps a place that moves faster than <code>control.max_speed_mps</code>: make the "
-            "trajectory slower, or raise the limit if the bodies can drive so fast."
-        )
     if found["settling_time_s"] is None and found["final_distance_error_m"] is not None:
         out.append(
             "If distances were still changing at the end, drive for longer (<code>--duration</code>). If "

@@ -1,102 +1,108 @@
-"""How many ticks agents skipped, for how long they asked for a lower rate, and what of that comes of faults
-that were injected, or of standing still alone: the rest is their machine's doing (PURE)."""
+"""Agents that could not keep their rate, by their own account, beyond what fault rules made of it (PURE)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from math import inf
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+import numpy as np
+
+from handfast.deploy.analysis.patience import SHARE_MAX
 from handfast.deploy.analysis.presence import downs
-from handfast.deploy.recording.recording import Recording
+from handfast.deploy.console.wording import robots
+from handfast.deploy.recording.recording import Recording, once
 from handfast.deploy.recording.tables import StatusTable
 from handfast.deploy.verdict.violations import is_constant, windows
 
+SKIPPED_SHARE: Final = 0.05
+"""Share of skipped ticks above which a robot's machine, or the law of a plugin, is named."""
 WOKEN_S: Final = 3.0
-"""What an agent skips or asks for so soon after it was made late comes of that."""
-
-
-@dataclass(frozen=True, slots=True)
-class Made:
-    """A `share` of an agent's ticks were made late by up to `late_s`, from `start_s` to `end_s` (fleet time);
-    infinite where it did not run."""
-
-    start_s: float
-    end_s: float
-    late_s: float = inf
-    share: float = 1.0
-
-    def makes_stand(self, start_s: float, end_s: float) -> bool:
-        """Whether an agent may have stood from `start_s` to `end_s` for it: ticks of its that came late twice
-        running, at most."""
-        return self.start_s < end_s and self.end_s > start_s and 2.0 * self.late_s >= end_s - start_s
-
-    def skips(self, period_s: float) -> float:
-        """How many ticks may be skipped for it: none where a tick comes late by less than a period."""
-        if self.late_s == inf:
-            return inf
-        return self.share * (self.end_s - self.start_s) / period_s * (self.late_s // period_s)
+"""Time after a rule made an agent late in which it still catches up, s."""
 
 
 class Late(NamedTuple):
-    """An agent of its own, or its machine's, doing skipped `skipped` ticks, and asked for a lower rate for
-    `asked_ms`."""
+    """Ticks that an agent skipped, and the time for which it asked for a lower rate, ms."""
 
     skipped: int
     asked_ms: int
 
 
-def made_late(recording: Recording, robot: int) -> list[Made]:
-    """When rules paused or killed the agent of a robot, or made its ticks late."""
-    found = [Made(down.start_s, down.end_s) for down in downs(recording, robot, "agent")]
-    first_s = next(iter(recording.robots[robot].status.t.tolist()), inf)
-    for span in windows(recording):
-        rule = span.rule
-        if rule.tick_jitter is not None and (rule.robots is None or robot in rule.robots):
-            share = 1.0 if rule.tick_jitter_share is None else rule.tick_jitter_share
-            start_s = min(first_s, span.start_s) if is_constant(rule) else span.start_s
-            found.append(Made(start_s, span.end_s, rule.tick_jitter, share))
+@once
+def late_robots(recording: Recording) -> Mapping[int, Late]:
+    """Return how late those agents were that skipped many ticks, or asked for a lower rate."""
+    found: dict[int, Late] = {}
+    if recording.mode == "simulate" or recording.fleet.control.law is not None:
+        return found
+    for robot in recording.ids:
+        status, made = recording.robots[robot].status, _made_late(recording, robot)
+        skipped = asked_ms = 0
+        for row in range(len(status)):
+            since_s = float(status.t[row - 1]) if row else -np.inf
+            if not any(start_s <= status.t[row] and since_s < end_s + WOKEN_S for start_s, end_s in made):
+                skipped += grown(status, "overruns", row - 1, row)
+                asked_ms += grown(status, "overload.asked_ms", row - 1, row)
+        if asked_ms or skipped > SKIPPED_SHARE * len(status.tick_us):
+            found[robot] = Late(skipped, asked_ms)
     return found
 
 
-def unexplained(recording: Recording, robot: int, made: Iterable[Made]) -> Late:
-    """By how much an agent was late beyond what `made` may have made of it.
-
-    What a rule explains it does while it holds and for `WOKEN_S` afterwards, and it explains no more skipped
-    ticks than it can cause; of a lower rate that was asked for then, all until it is asked for no more.
-    """
-    status, period_s = recording.robots[robot].status, recording.fleet.period_ns / 1e9
-    causes = [(each, each.skips(period_s)) for each in made]
-    left = {each: skips for each, skips in causes if skips > 0.0}
-    skipped = asked_ms = 0
-    is_explained = False
-    for row in range(len(status)):
-        start_s = float(status.t[row - 1]) if row else -inf
-        there = [each for each in left if each.start_s <= status.t[row] and each.end_s + WOKEN_S > start_s]
-        more = grown(status, "overruns", row - 1, row)
-        for each in there:
-            of_it = min(more, int(left[each])) if left[each] < inf else more
-            more -= of_it
-            left[each] -= of_it if left[each] < inf else 0.0
-        skipped += more
-        asked = grown(status, "overload.asked_ms", row - 1, row)
-        is_explained = bool(there) or (is_explained and asked > 0)
-        asked_ms += 0 if is_explained else asked
-    return Late(skipped, asked_ms)
+def warnings(recording: Recording) -> list[str]:
+    """Return a sentence for each machine that was too slow, and for each robot with a law that was."""
+    late, period_ms = late_robots(recording), 1e3 / recording.fleet.fleet.rate_hz
+    slow: dict[str, list[int]] = {}
+    for robot in late:
+        slow.setdefault(recording.fleet.robot(robot).host or "", []).append(robot)
+    out = []
+    for host, ids in slow.items():
+        took_us = np.concatenate([recording.robots[robot].status.tick_us for robot in ids])
+        skipped, asked_s = sum(late[robot].skipped for robot in ids), max(late[r].asked_ms for r in ids) / 1e3
+        did = [f"skipped {skipped} of {len(took_us) + skipped} ticks"] if skipped else []
+        did += [f"asked for a lower rate for up to {asked_s:.1f} s"] if asked_s else []
+        though = f" though a tick takes {np.median(took_us) / 1e3:.1f} ms" if len(took_us) else ""
+        out.append(
+            f"{robots(ids).capitalize()} {' and '.join(did)}{though} of {period_ms:.3g} ms: "
+            f"{f'host {host}' if host else 'the machine'} was too slow, or the agents were frozen."
+        )
+    return out + _late_laws(recording)
 
 
-def stood_s(recording: Recording, status: StatusTable, first: int, last: int) -> float:
-    """For how long an agent's loop stood between two of its statuses, s: as it says itself, else, before it
-    did, by the ticks that it skipped."""
-    if "stood_ms" in status.counters[last]:
-        return grown(status, "stood_ms", first, last) / 1e3
-    return grown(status, "overruns", first, last) * recording.fleet.period_ns / 1e9
+def slowed_s(recording: Recording) -> float:
+    """Return the longest time for which a robot drove at a lower rate, s."""
+    totals = [data.status.totals() for data in recording.robots.values()]
+    spent = [sum(ms for name, ms in each.items() if name.startswith("overload.level_")) for each in totals]
+    return max(spent, default=0) / 1e3
 
 
 def grown(status: StatusTable, name: str, first: int, last: int) -> int:
-    """By how much a counter grew between two statuses, -1 for the start; one that started again counts from
-    0."""
+    """Return by how much a counter grew between two statuses, -1 for the start; a process starts at 0."""
     before = status.counters[first].get(name, 0) if first >= 0 else 0
     after = status.counters[last].get(name, 0)
     return after - before if after >= before else after
+
+
+def _made_late(recording: Recording, robot: int) -> list[tuple[float, float]]:
+    """Times in which rules paused or killed an agent, or made it skip many ticks."""
+    found = [(down.start_s, down.end_s) for down in downs(recording, robot, "agent")]
+    for span in windows(recording):
+        rule, share = span.rule, span.rule.tick_jitter_share
+        if rule.tick_jitter is None or rule.tick_jitter < recording.fleet.period_ns / 1e9:
+            continue
+        if (share is None or share > SKIPPED_SHARE) and (rule.robots is None or robot in rule.robots):
+            found.append((-np.inf if is_constant(rule) else span.start_s, span.end_s))
+    return found
+
+
+def _late_laws(recording: Recording) -> list[str]:
+    """A sentence for each robot whose ticks took so long with the law of a plugin that it skipped others."""
+    law, period_us = recording.fleet.control.law, 1e6 / recording.fleet.fleet.rate_hz
+    out = []
+    for robot, data in recording.robots.items() if law is not None else ():
+        skipped = data.status.totals().get("overruns", 0)
+        long_us = data.status.tick_us[data.status.tick_us > SHARE_MAX * period_us]
+        explains = len(long_us) > 0 and float(long_us.sum()) > 0.5 * skipped * period_us
+        if skipped > SKIPPED_SHARE * len(data.status.tick_us) and explains:
+            out.append(
+                f"Robot {robot} skipped {skipped} ticks: there one takes {np.median(long_us) / 1e3:.3g} ms, "
+                f"of {period_us / 1e3:.3g} ms; the law {law} may be too slow."
+            )
+    return out

@@ -6,25 +6,106 @@ Distances are between hand points, the points that the law controls. All values 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from handfast.agent.fleet.loading import law_name
+from handfast.agent.fleet.model import Fleet
+from handfast.agent.formation.geometry import Geometry, resolve
 from handfast.agent.formation.points import Floats
-from handfast.deploy.analysis.analysis import Approach, norm
+from handfast.deploy.analysis.analysis import Analysis, Approach, analyse, norm
 from handfast.deploy.analysis.places import last_there_s
 from handfast.deploy.analysis.rounding import largest, number, percentile
 from handfast.deploy.recording.recorder import RecordingError
-from handfast.deploy.verdict import overload
-from handfast.deploy.verdict.standstills import Cause, stalls
+from handfast.deploy.recording.recording import Recording
+from handfast.deploy.verdict import lateness, link_metrics, oracles, reasons
+from handfast.deploy.verdict.tracking import Tracking
+from handfast.deploy.verdict.violations import Violation
 
-if TYPE_CHECKING:
-    from handfast.deploy.verdict.evidence import Evidence
+
+class Evidence:
+    """A recording with its analysis, what the oracles found, and the verdict's sentences.
+
+    Asking raises `agent.formation.geometry.FormationError` when the fleet's formation cannot be resolved.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording: Recording = recording
+
+    @property
+    def fleet(self) -> Fleet:
+        return self.recording.fleet
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        return resolve(self.fleet)
+
+    @cached_property
+    def analysis(self) -> Analysis:
+        return analyse(self.recording, self.geometry)
+
+    @cached_property
+    def violations(self) -> Mapping[str, Sequence[Violation] | None]:
+        """What every oracle found; None where it does not apply."""
+        return oracles.examine(self.recording, self.analysis, self.fleet)
+
+    @property
+    def passed(self) -> bool:
+        return not self.reasons
+
+    @cached_property
+    def reasons(self) -> Sequence[str]:
+        """Why the verdict failed, as sentences."""
+        return reasons.reasons(self.recording, self.analysis, self.violations, self.tracking)
+
+    @cached_property
+    def warnings(self) -> Sequence[str]:
+        return reasons.warnings(self.recording, self.analysis, self.about_links, self.tracking)
+
+    @cached_property
+    def tracking(self) -> Tracking:
+        """Robots that were not at their places."""
+        return Tracking(self.recording, self.analysis)
+
+    # --- what several metrics are made of ---------------------------------------------------------
+
+    @cached_property
+    def about_links(self) -> Mapping[str, Any]:
+        return link_metrics.describe_links(self.recording)
+
+    @cached_property
+    def distance_errors(self) -> Floats:
+        """(k, m) m: how far each edge was from its wanted distance; NaN where it does not count."""
+        a = self.analysis
+        errors: Floats = np.where(a.counts, a.distances - a.wanted, np.nan)
+        return errors
+
+    @cached_property
+    def ages_ms(self) -> Floats:
+        """Ages of the neighbours' states whenever the law used one, in the drive."""
+        robots, end_s = self.recording.robots.values(), self.recording.end_s
+        return np.concatenate([robot.status.ages_between(0.0, end_s) for robot in robots]) / 1e3
+
+    @cached_property
+    def ticks_us(self) -> Floats:
+        """Durations of the agents' ticks; none in virtual time, where they take none."""
+        ticks = np.concatenate([robot.status.tick_us for robot in self.recording.robots.values()])
+        return ticks[:0] if self.recording.mode == "simulate" else ticks
+
+    @cached_property
+    def totals(self) -> Counter[str]:
+        """What all agents counted."""
+        totals: Counter[str] = Counter()
+        for robot in self.recording.robots.values():
+            totals.update(robot.status.totals())
+        return totals
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,17 +355,11 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "machine.late_robots",
         "Robots whose agents skipped many rounds by no doing of the fleet: their machine was too slow.",
-        lambda r: sorted(overload.late_robots(r.recording)),
-    ),
-    Metric(
-        "machine.stood_still_s", "For how long, in all, no robot of a machine could do anything.",
-        lambda r: round(
-            sum(each.lasts_s for each in stalls(r.recording) if each.cause is Cause.MACHINE), 3
-        ),
+        lambda r: sorted(lateness.late_robots(r.recording)),
     ),
     Metric(
         "overload_s", "How long the fleet drove at a lower rate, or slower: a machine was overloaded.",
-        lambda r: number(overload.slowed_s(r.recording)), optional=True,
+        lambda r: number(lateness.slowed_s(r.recording)), optional=True,
     ),
     Metric("links", "Of each link: what was asked, what was done, what was measured.", _link("links")),
     Metric("injected", "What was done to messages on purpose, over all links.", _link("injected")),

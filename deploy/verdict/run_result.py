@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from handfast.deploy.verdict import metrics
-from handfast.deploy.verdict.evidence import Evidence
+from handfast.deploy.verdict.metrics import Evidence
 
 
 class RunResult(Evidence):

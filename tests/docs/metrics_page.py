@@ -6,8 +6,8 @@ import sys
 from textwrap import fill
 
 from handfast.deploy.analysis.gaps import GAP_S, PERIODS
-from handfast.deploy.verdict.gaps.missing_poses import SHARE_MAX
 from handfast.deploy.verdict.metrics import METRICS, Metric
+from handfast.deploy.verdict.missing import SHARE_MAX
 from handfast.deploy.verdict.oracles_drive import SPEED_MORE_MPS, SPEED_SHARE
 
 HEAD = """# Metrics
@@ -31,21 +31,19 @@ taken to have gone straight on. What is longer is a **gap**: where the robot was
   have a hole there.
 - **Settling**: an edge that was off its distance before a gap, or is after it, was off all the while, and so
   was a robot that was off its place. What was right at both ends counts as right.
-- **What was at stake**: from the pose before to the pose after, a hand went no faster than the verdict lets
-  it ({SPEED_SHARE:g} times `control.max_speed_mps`, and {SPEED_MORE_MPS:g} m/s), or than it was measured in
-  the drive. So at any time it was within a disc about each of these poses, and all in all within an
-  ellipse. If it can nowhere have come nearer to another robot than the safe distance, to an obstacle than
-  the clearance, or further outside the geofence than braking takes, the gap is a warning. Else the verdict
-  fails, and says that it is not known: `it may have come within 0.31 m of robot 2 (safe distance 0.66 m)`.
-  Another robot is where it was measured, or within bounds of its own.
+- **What can have happened**: from the pose before to the pose after, a hand went no faster than the verdict
+  lets it ({SPEED_SHARE:g} times `control.max_speed_mps`, and {SPEED_MORE_MPS:g} m/s), or than it was measured
+  in the drive. So it was within a disc around each of these poses. If it can nowhere have come nearer to
+  another robot than the safe distance, to an obstacle than the clearance, or further outside the geofence
+  than braking takes, the gap is a warning. Else the verdict fails: `it may have come within 0.31 m of robot 2
+  (0.66 m is safe)`.
 - A gap fails the verdict, too, if the robot moved further in it than it can; if it lasts to the end of the
-  drive; and if the gaps of a robot are more than {100 * SHARE_MAX:.0f} % of the drive: a robot is judged by
-  its poses, and radios that are fit to drive by lose a few per cent.
+  drive; and if the gaps of a robot are more than {100 * SHARE_MAX:.0f} % of the drive.
 - Only warnings: a gap of a plant that a rule stopped, unless it lasts to the end; of a robot that was killed
   for good; of one that has no place in the formation; and, where the robot moved less than the safe distance
-  meanwhile, one of a machine that was too slow or stood still.
-- Of a **damaged file** one sentence says what is lost; it fails the verdict where such a gap would, and where
-  the file ends in mid-drive. No robot is blamed for it.
+  meanwhile, one of a machine that was too slow, or of which nothing came of any robot.
+- A part of a **damaged file** that is lost is such a gap, with the file as its cause. A file that ends in
+  mid-drive fails the verdict.
 
 ## Robots that stop following
 

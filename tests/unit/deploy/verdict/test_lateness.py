@@ -1,79 +1,86 @@
-"""What injected faults explain of how late an agent was, and what they do not."""
+"""Machines that were too slow are named, and what fault rules made of it is not theirs."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
+from typing import Any
 
 import pytest
 
 from handfast.agent.fleet.fault_rules import FaultsSection, Rule
-from handfast.agent.messages.types import Status
+from handfast.agent.messages.types import Event, Status
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.verdict.lateness import Late, Made, made_late, unexplained
+from handfast.deploy.verdict.lateness import late_robots, warnings
+from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import PAIR, recorded
-from tests.unit.deploy.silent_run import ALL, FROM_S, UNTIL_S, paused, silent
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages
 
-PERIOD_S = PAIR.period_ns / 1e9
 
-
-def counting(**per_s: float) -> Recording:
-    """A run in which agents count so much more each second."""
+def late(skipped: int, mode: str = "run", more: tuple[tuple[str, int], ...] = (), **fleet: Any) -> Recording:
     sent = []
     for received_ns, key, message in messages(PAIR, in_formation(PAIR)):
         if type(message) is Status:
-            t = (message.time_ns - EPOCH_NS) / 1e9
-            names = {name.replace("__", "."): round(each * t) for name, each in per_s.items()}
-            message = message._replace(counters=tuple(names.items()))
+            message = message._replace(counters=(("overruns", skipped), *more))
         sent.append((received_ns, key, message))
-    return recorded(PAIR, sent, "run")
+    return recorded(replace(PAIR, **fleet), sent, mode)
 
 
-def test_all_is_its_own_where_nothing_was_done_to_it() -> None:
-    recording = counting(overruns=10, overload__asked_ms=500)
-    last_s = float(recording.robots[1].status.t[-1])
-    found = unexplained(recording, 1, ())
-    assert found == pytest.approx((10 * last_s, 500 * last_s), abs=1)
+def test_skipped_ticks_are_the_machines_and_fail_nothing() -> None:
+    result = RunResult(late(30))
+    ticks = sum(len(data.status.tick_us) for data in result.recording.robots.values())
+    assert result.passed
+    assert result.warnings == [
+        f"Robots 1 and 2 skipped 60 of {ticks + 60} ticks though a tick takes 0.1 ms of 20 ms: the machine "
+        "was too slow, or the agents were frozen."
+    ]
+    assert result.metrics["machine"] == {"late_robots": [1, 2]}
+    assert warnings(late(3)) == []
 
 
-def test_a_rule_explains_what_it_can_have_caused_and_no_more() -> None:
-    recording = counting(overruns=20)
-    all_of_it = unexplained(recording, 1, ()).skipped
-    made = Made(0.0, 0.5, late_s=2 * PERIOD_S, share=0.1)
-    assert made.skips(PERIOD_S) == pytest.approx(0.1 * 0.5 / PERIOD_S * 2)
-    assert unexplained(recording, 1, [made]).skipped == all_of_it - 5
-    assert unexplained(recording, 1, [Made(0.0, 0.5, late_s=0.9 * PERIOD_S)]).skipped == all_of_it
-    assert unexplained(recording, 1, [Made(0.0, 0.5)]).skipped == 0, "it wakes for 3 s"
-    assert unexplained(recording, 1, [Made(50.0, 51.0)]).skipped == all_of_it
+def test_a_lower_rate_that_was_asked_for_is_named() -> None:
+    more = ("overload.asked_ms", 1500), ("overload.level_1_ms", 500), ("overload.level_2_ms", 1200)
+    recording = late(0, more=more)
+    (text,) = warnings(recording)
+    assert text.startswith("Robots 1 and 2 asked for a lower rate for up to 1.5 s though a tick takes 0.1 ms")
+    assert RunResult(recording).metrics["overload_s"] == pytest.approx(1.7)
+    assert "overload_s" not in RunResult(late(30)).metrics
 
 
-def test_a_lower_rate_is_explained_until_it_is_not_asked_for_any_more() -> None:
-    recording = counting(overload__asked_ms=900)
-    assert unexplained(recording, 1, [Made(-5.0, -2.9)]) == Late(0, 0)
-    assert unexplained(recording, 1, [Made(-5.0, -2.9, late_s=0.5 * PERIOD_S)]).asked_ms > 0
+def test_statuses_without_ticks_are_named_without_their_duration() -> None:
+    recording = late(30)
+    for robot, data in recording.robots.items():
+        recording.robots[robot] = replace(data, status=replace(data.status, tick_us=data.status.tick_us[:0]))  # type: ignore[index]
+    assert warnings(recording)[0].startswith("Robots 1 and 2 skipped 60 of 60 ticks of 20 ms: ")
+
+
+def test_hosts_are_named() -> None:
+    robots = tuple(replace(robot, host=f"pi{robot.id}") for robot in PAIR.robots)
+    first, second = warnings(late(30, robots=robots))
+    assert first.startswith("Robot 1 skipped 30 of ")
+    assert ": host pi1 was too slow" in first
+    assert ": host pi2 was too slow" in second
 
 
 @pytest.mark.parametrize(
-    ("made", "stands"),
+    ("rule", "explains"),
     [
-        (Made(1.0, 2.0), True),
-        (Made(0.0, 1.0), False),
-        (Made(2.0, 3.0), False),
-        (Made(1.0, 2.0, late_s=0.5), True),
-        (Made(1.0, 2.0, late_s=0.4), False),
+        (Rule(tick_jitter=0.02), True),
+        (Rule(tick_jitter=0.019), False),  # less than a period skips no tick
+        (Rule(tick_jitter=0.02, robot=(3,)), False),
+        (Rule(tick_jitter=0.02, tick_jitter_share=0.01), False),
+        (Rule(tick_jitter=0.02, at=1.0, duration=0.5), False),  # half of the ticks were skipped before
     ],
 )
-def test_who_is_made_late_stands_for_two_late_ticks_at_most(made: Made, stands: bool) -> None:
-    assert made.makes_stand(1.0, 2.0) is stands
+def test_a_rule_explains_what_it_can_have_caused(rule: Rule, explains: bool) -> None:
+    recording = late(30, faults=FaultsSection(rules=(rule,)))
+    assert set(late_robots(recording)) == (set() if explains else {1, 2})
 
 
-def test_rules_make_their_own_robots_late_while_they_hold() -> None:
-    rules = (
-        Rule(tick_jitter=0.01, tick_jitter_share=0.2, robot=(1,), at=0.5, duration=0.4),
-        Rule(delay=0.1),
-    )
-    recording = replace(silent(ALL, ()), events=paused(2, "agent"))
-    recording = replace(recording, fleet=replace(recording.fleet, faults=FaultsSection(rules=rules)))
-    assert made_late(recording, 1) == [Made(0.5, 0.9, 0.01, 0.2)]
-    assert made_late(recording, 2) == [Made(pytest.approx(FROM_S), pytest.approx(UNTIL_S), inf)]
+def test_an_agent_that_a_rule_paused_wakes_up_late() -> None:
+    paused = Event(1, 0, EPOCH_NS - 10**9, "agent", "stop", "pause")
+    assert set(late_robots(replace(late(30), events=(paused,)))) == {2}
+
+
+def test_virtual_time_and_laws_of_plugins_are_no_machines() -> None:
+    assert warnings(late(30, "simulate")) == []
+    assert warnings(late(30, control=replace(PAIR.control, law="my:Law"))) == []

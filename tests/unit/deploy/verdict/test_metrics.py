@@ -45,7 +45,7 @@ def test_a_perfect_run() -> None:
     assert found["final_distance_error_m"] == found["final_tracking_error_m"] == 0.0
     assert found["rms_distance_error_m"] == 0.0
     assert found["verdict"] == {"passed": True, "reasons": [], "warnings": []}
-    assert found["machine"] == {"late_robots": [], "stood_still_s": 0}
+    assert found["machine"] == {"late_robots": []}
     assert found["links"] == []
     assert found["injected"]["decided"] == 0
 

@@ -114,7 +114,7 @@ def test_what_the_operator_knows_comes_first() -> None:
         "passed": False,
         "reasons": [
             "Robot 2's agent died.",
-            "The data are incomplete: the agent of robot 2 never said a word.",
+            "The data are incomplete: no status of robot 2 was recorded.",
         ],
         "warnings": [],
     }
@@ -126,7 +126,7 @@ def test_a_silent_robot_makes_the_data_incomplete() -> None:
     found = judged(three, sent)
     assert found["verdict"]["reasons"] == [
         "The data are incomplete: no pose of robot 2 was recorded.",
-        "The data are incomplete: the agent of robot 2 never said a word.",
+        "The data are incomplete: no status of robot 2 was recorded.",
     ]
     assert found["min_distance_m"]["edge"] == pytest.approx(1.0)  # that of robots 1 and 3
 
@@ -140,8 +140,7 @@ def test_a_gap_in_the_poses_is_named() -> None:
 
     found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if not within(each)))
     assert found["verdict"]["reasons"] == [
-        "The data are incomplete: in 40 % of the drive robot 1 sent no pose, where 20 % is allowed; for "
-        "longest from 0.40 s to 1.20 s."
+        "The data are incomplete: robot 1 sent no pose in 40 % of the drive, where 20 % is allowed."
     ]
 
 
@@ -154,9 +153,9 @@ def test_poses_that_begin_late_or_end_early_are_named() -> None:
 
     found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if kept(each)))
     assert found["verdict"]["reasons"] == [
-        "Robot 1 sent no pose from 0.00 s to 1.00 s: it may have come within 0.00 m of robot 2 (safe "
-        "distance 0.22 m).",
-        "The data are incomplete: robot 2 sent no pose from 1.00 s to 2.00 s.",
+        "Robot 1 sent no pose from 0.00 s to 1.00 s; it may have come within 0.00 m of robot 2 (0.22 m is "
+        "safe).",
+        "Robot 2 sent no pose from 1.00 s to the end.",
     ]
 
 
@@ -207,10 +206,8 @@ def test_a_release_is_a_warning_with_its_time() -> None:
     verdict = taken((0.5, 1.1), (1.5, 1.7))["verdict"]
     assert verdict["passed"]
     assert verdict["warnings"] == [
-        "Robot 2 was released to its operator from 0.6 s to 1.2 s (mode MANUAL): it did not follow the law "
-        "then.",
-        "Robot 2 was released to its operator from 1.6 s to 1.8 s (mode MANUAL): it did not follow the law "
-        "then.",
+        "Robot 2 was released to its operator from 0.6 s to 1.2 s (mode MANUAL).",
+        "Robot 2 was released to its operator from 1.6 s to 1.8 s (mode MANUAL).",
     ]
 
 
@@ -278,7 +275,7 @@ def test_an_agent_that_falls_silent_for_good_is_named() -> None:
 
     assert reasons(6.0) == reasons(4.5) == []
     (silent,) = reasons(3.0)
-    assert silent.startswith("The agent of robot 2 said nothing more from 2.8 s on, in the last 3.2 s of")
+    assert silent == "The agent of robot 2 sent no status after 2.8 s."
 
 
 def faulted(at_s: float, *ids: int) -> list[Sent]:
@@ -311,7 +308,7 @@ def test_a_drive_that_ends_because_every_plant_fails_says_why() -> None:
     assert judged(PAIR, faulted(1.0, 2))["verdict"]["reasons"] == [
         f"Robot 2 ended the drive in state fault: it did not drive on, as something of its own "
         f"was wrong {why}",
-        "The data are incomplete: robot 2 sent no pose from 0.98 s to 2.00 s.",
+        "Robot 2 sent no pose from 0.98 s to the end.",
     ]
 
 
@@ -350,7 +347,7 @@ def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
 def test_a_machine_that_was_too_slow_for_most_is_named_before_the_many_things_that_failed() -> None:
     found = crowd([f"for its {'x' * robot}" for robot in range(1, 6)], skipped=50)
     assert found[0] == (
-        "The machine was too slow: 5 of 5 robots skipped 250 of 800 ticks. What follows may come of that "
-        "alone; `handfast check` says how many robots a machine carries at which rate."
+        "Robots 1, 2, 3, 4 and 5 skipped 250 of 800 ticks though a tick takes 0.1 ms of 20 ms: the machine "
+        "was too slow, or the agents were frozen. What follows may come of that alone."
     )
     assert not any("too slow" in each for each in crowd([f"for its {'x' * k}" for k in range(1, 6)]))

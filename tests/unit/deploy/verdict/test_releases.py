@@ -11,7 +11,7 @@ from handfast.bridges.mavlink.bridge.authority import REBOOTED, UNHEARD, Authori
 from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE, FENCED, NOT_HEARD_YET
 from handfast.bridges.mavlink.bridge.estimate import Residual
 from handfast.bridges.mavlink.bridge.setpoint import MotionCheck
-from handfast.deploy.verdict.releases import NOT_ITS_OPERATORS, PERHAPS_ITS_OPERATORS
+from handfast.deploy.verdict.reasons import NOT_ITS_OPERATORS, PERHAPS_ITS_OPERATORS
 from tests.unit.deploy.judged_run import PAIR, body, judged
 from tests.unit.deploy.synthetic_run import EPOCH_NS, messages, standing
 
@@ -50,17 +50,13 @@ def test_one_that_its_operator_took_is_a_warning(reason: str) -> None:
     found = said((0.5, "released", reason))
     assert (found["passed"], found["reasons"]) == (True, [])
     why = f" ({reason})" if reason else ""
-    assert found["warnings"] == [
-        f"Robot 2 was released to its operator from 0.6 s to the end{why}: it did not follow the law then."
-    ]
+    assert found["warnings"] == [f"Robot 2 was released to its operator from 0.6 s to the end{why}."]
 
 
 def test_one_that_followed_again_is_a_warning_without_an_operator() -> None:
     found = said((0.5, "released", STUCK), (1.1, "running", ""))
     assert found["passed"]
-    assert found["warnings"] == [
-        f"Robot 2 was released from 0.6 s to 1.2 s ({STUCK}): it did not follow the law then."
-    ]
+    assert found["warnings"] == [f"Robot 2 was released from 0.6 s to 1.2 s ({STUCK})."]
 
 
 def test_one_that_nobody_heard_is_its_operators_once_he_is_seen_to_have_it() -> None:
@@ -71,7 +67,7 @@ def test_one_that_nobody_heard_is_its_operators_once_he_is_seen_to_have_it() -> 
     found = said((0.5, "released", lapsed), (1.0, "released", HOLD))
     assert found["passed"]
     (warning,) = found["warnings"]
-    assert warning.startswith(f"Robot 2 was released to its operator from 0.6 s to the end ({lapsed}): ")
+    assert warning.startswith(f"Robot 2 was released to its operator from 0.6 s to the end ({lapsed}).")
 
 
 def test_these_are_the_bridges_own_words() -> None:

@@ -1,1 +1,0 @@
-"""Times of which nothing is known: what may have happened then, and what a damaged file hides."""
