@@ -126,7 +126,9 @@ class FleetOnHosts:
         def look() -> bool:
             host = self.host_of(robot)
             pids = [
-                pid for pid, words in host.pids(f"-m {role} ").items() if f"--robot {robot} " in f"{words} "
+                pid
+                for pid, words in host.pids(f"-m handfast.{role} ").items()
+                if f"--robot {robot} " in f"{words} "
             ]
             return bool(pids) and before not in pids
 

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.agent.messages.types import Status
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.identity import of_robot, of_router
@@ -30,7 +29,6 @@ from tests.trusted import NOW_S, authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, ROUTERS, fleet
 
 FLEET = fleet()
-SKEW_S = CLOCK_SKEW_MAX_S
 UNIT = {
     "ActiveState": "active", "Result": "success", "NRestarts": "2", "cpu_s": 3.0, "age_s": 60.0,
     "memory_bytes": 80e6, "version": "1-aa-77", "StatusText": "running",
@@ -127,7 +125,7 @@ def test_a_router_on_a_host_has_a_row_of_its_own(tmp_path: Path, capsys: pytest.
     assert router_rows(routed, right, host, NOW_S) == []
     (found,) = expiries_on_hosts(routed, {"left": host, "right": host}, "f.toml")
     assert found.who == "router 1"
-    print_table([row], {"left": host}, SKEW_S)
+    print_table([row], {"left": host})
     (line,) = (line for line in capsys.readouterr().out.splitlines() if "router of two" in line)
     assert line.split()[:4] == ["-", "left", "router", "active"]
 
@@ -147,17 +145,17 @@ def test_a_host_that_cannot_be_asked_is_unknown_not_down() -> None:
 def test_the_table_tells_all_of_it(capsys: pytest.CaptureFixture[str]) -> None:
     told, found = rows()
     found["right"] = HostStatus(error="it does not answer")
-    print_table(told, found, SKEW_S)
+    print_table(told, found)
     out = capsys.readouterr().out
     assert "left: clock 2.0 ms ahead (within 1.0 ms), load 1.5" in out
     assert "right: it does not answer" in out
     assert "without robot 3" in out
     assert "version 1-aa" in out
-    print_table(*rows(("1-aa-77", "1-aa-88")), SKEW_S)
+    print_table(*rows(("1-aa-77", "1-aa-88")))
     assert "version 1-aa\n" in capsys.readouterr().out, (
         "other wheels for another processor are no other version"
     )
-    print_table(*rows(("1-aa-77", "1-bb-77")), SKEW_S)
+    print_table(*rows(("1-aa-77", "1-bb-77")))
     assert "not all robots run the same (1-aa: robot 1; 1-bb: robot 2)" in capsys.readouterr().out
 
 
@@ -177,7 +175,7 @@ def test_lines_say_a_thing_once_and_leave_counts_to_the_table() -> None:
 def test_anybodys_words_are_text(capsys: pytest.CaptureFixture[str]) -> None:
     told, found = rows()
     told[0]["state"], told[0]["reason"] = "stopped", "[/x] [red]lunch\x1b[2J"
-    print_table(told, found, SKEW_S)
+    print_table(told, found)
     assert "[/x] [red]lunch\\x1b[2J" in capsys.readouterr().out
 
 
@@ -265,7 +263,7 @@ def fleet_rows(count: int) -> tuple[list[dict[str, Any]], dict[str, HostStatus]]
 
 def test_of_many_robots_those_are_shown_where_something_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
     told, found = fleet_rows(300)
-    print_table(told, found, SKEW_S)
+    print_table(told, found)
     assert capsys.readouterr().out.splitlines() == [
         "version 1-aa",
         "600 processes of 300 robots: 600 active",
@@ -279,7 +277,7 @@ def test_of_many_robots_those_are_shown_where_something_is_wrong(capsys: pytest.
         row["unit"], row["state"] = "unknown", None
     found["host21"] = HostStatus(error="it does not answer")
     found["host99"] = HostStatus({}, Clock(0.2, 0.001), 1.5)
-    print_table(told, found, SKEW_S)
+    print_table(told, found)
     out = capsys.readouterr().out.splitlines()
     assert [line.split()[:3] for line in out[1:5]] == [
         ["5", "host5", "agent"], ["11", "host11", "plant"], ["16", "host16", "agent"],
@@ -293,7 +291,7 @@ def test_of_many_robots_those_are_shown_where_something_is_wrong(capsys: pytest.
         "agents: 297 running, 2 silent, 1 degraded",
         "299 of 300 hosts: clocks up to 200.0 ms off, load up to 1.5",
     ]
-    print_table(told, found, SKEW_S, each=True)
+    print_table(told, found, each=True)
     assert len(capsys.readouterr().out.splitlines()) == 1 + 600 + 300 + 1
 
 
@@ -301,7 +299,7 @@ def test_where_no_agent_is_heard_that_is_said_once(capsys: pytest.CaptureFixture
     told, found = fleet_rows(300)
     for row in told:
         row["state"] = None
-    print_table(told, found, SKEW_S)
+    print_table(told, found)
     assert capsys.readouterr().out.splitlines()[1:3] == [
         "600 processes of 300 robots: 600 active", "agents: none is heard",
     ]  # fmt: skip
