@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from handfast.agent.security.access_control import Security
 from handfast.agent.security.credentials import Credentials, Files, make_request, store
-from handfast.agent.security.identity import Identity
+from handfast.agent.security.identity import Identity, Security
 from handfast.deploy.inventory.certificate_authority import Authority
 
 NOW_S = 1_790_000_000.0

@@ -29,9 +29,8 @@ from handfast.agent.runtime.loop import DIALLED, Log
 from handfast.agent.runtime.realtime import raise_limit
 from handfast.agent.runtime.shutdown import Shutdown, add_parent_argument
 from handfast.agent.runtime.systemd_notify import SystemdNotifier
-from handfast.agent.security.access_control import Security
 from handfast.agent.security.credentials import CredentialsError, load
-from handfast.agent.security.identity import MAIN, of_router
+from handfast.agent.security.identity import MAIN, Security, of_router
 from handfast.agent.security.refusals import FILTER
 from handfast.agent.transport.bus import Bus, BusError, Router, init_log
 from handfast.agent.transport.sealed_bus import secured

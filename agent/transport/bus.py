@@ -24,7 +24,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.hosts import LEASE_MS
 from handfast.agent.messages.key_expressions import robot_of_alive
 from handfast.agent.node import inbox_size
-from handfast.agent.security.access_control import Security
+from handfast.agent.security.identity import Security
 from handfast.agent.transport.batches import Batches
 from handfast.agent.transport.link_watch import PATIENCE_MAX, SOON_NS, LinkWatch
 from handfast.agent.transport.tcp_links import TcpLinks

@@ -13,10 +13,13 @@ does `KEEP_ALIVES` times in a lease (`agent.transport.bus`). So it runs, and has
 own, which what knocks at its port is not. Where its threads have to wait for a processor, they read late from
 links with which nothing is wrong: the longer they wait, the later a link is deaf. A router of 200 robots on
 two cores had shut 78 of its links down in a start, and had to do their declarations again.
+
+How long the threads of this process were ready to run and had no processor.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -26,8 +29,23 @@ from pathlib import Path
 from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.transport.run_delay import run_delay_ns
 from handfast.agent.transport.tcp_sockets import TcpSocket, borrowed, held, info_of, waiting_on
+
+_TASKS: Final = Path("/proc/self/task")
+
+
+def run_delay_ns() -> int:
+    """Of all its threads that run now together, since each began, ns: the second figure of
+    ``/proc/PID/task/TID/schedstat`` (Documentation/scheduler/sched-stats.rst of Linux). 0 where the kernel
+    does not say."""
+    found = 0
+    with suppress(OSError):
+        for thread in os.listdir(_TASKS):
+            # It has ended meanwhile, or the kernel says something else there.
+            with suppress(OSError, IndexError, ValueError):
+                found += int((_TASKS / thread / "schedstat").read_text().split()[1])
+    return found
+
 
 PERIOD_NS: Final = NS_PER_S // 2
 """How often all links are looked at."""

@@ -14,9 +14,8 @@ from typing import Any
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.security.access_control import Security
 from handfast.agent.security.credentials import Credentials, load, load_whenever
-from handfast.agent.security.identity import Identity
+from handfast.agent.security.identity import Identity, Security
 from handfast.agent.security.order_gate import OrderGate
 from handfast.agent.security.refusals import FILTER
 from handfast.agent.security.sealed_order import Opener, Sealer

@@ -7,8 +7,7 @@ from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.transport.link_watch import SOON_NS, LinkWatch
-from handfast.agent.transport.tcp_linger import Lingering
-from handfast.agent.transport.tcp_sockets import Calm, TcpSockets
+from handfast.agent.transport.tcp_sockets import Calm, Lingering, TcpSockets
 
 WHOLE_LOOK_NS: Final = 10 * NS_PER_S
 """So often links are looked at one by one though none seems to have changed."""

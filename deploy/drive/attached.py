@@ -115,7 +115,7 @@ def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool, given_ns: int) 
     """Why no drive of a fleet that is up may begin (`deploy.drive.preconditions.refusal`), "" when it may.
 
     Raises:
-        handfast.deploy.inventory.running.NoAnswerError: nobody is there.
+        handfast.deploy.inventory.known_fleets.NoAnswerError: nobody is there.
         handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(OperatorSession(fleet), interrupt) as session:

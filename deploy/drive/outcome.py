@@ -13,7 +13,7 @@ from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.inventory.folders import out_folder
+from handfast.deploy.inventory.own_orders import out_folder
 from handfast.deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import IO, Any, Final, NamedTuple
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.hosts import HostSection
 from handfast.deploy.hosts import remote_program
-from handfast.deploy.inventory import ssh
+from handfast.deploy.inventory import hosts
 
 PROGRAM: Final = Path(remote_program.__file__)
 PYTHONS: Final = ("python3", "python3.14", "python3.13", "python3.12", "python3.11")
@@ -93,16 +93,16 @@ class HostConnection:
         self._said = ""
         try:
             self._process = subprocess.Popen(
-                ssh.command(host, bootstrap(host.python), accept_new=accept_new),
+                hosts.command(host, bootstrap(host.python), accept_new=accept_new),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 start_new_session=True,  # a Ctrl-C is for us: what is under way is ended in order
             )
         except FileNotFoundError:
-            raise HostError(ssh.NO_SSH) from None
+            raise HostError(hosts.NO_SSH) from None
         except OSError as error:
-            raise HostError(f"{ssh.NOT_STARTED}: {(error.strerror or str(error)).lower()}") from None
+            raise HostError(f"{hosts.NOT_STARTED}: {(error.strerror or str(error)).lower()}") from None
         self._asked: queue.SimpleQueue[_Asked | None] = queue.SimpleQueue()
         self._answers: queue.SimpleQueue[Answer | HostError | None] = queue.SimpleQueue()
         self._listener = threading.Thread(target=self._listen_errors, daemon=True)
@@ -252,7 +252,7 @@ class HostConnection:
             self._process.kill()
             status = self._process.wait()
         self._listener.join(1.0)
-        return HostError(ssh.ended(self.host, status, self._said))
+        return HostError(hosts.ended(self.host, status, self._said))
 
     def _listen_errors(self) -> None:
         stream = self._process.stderr

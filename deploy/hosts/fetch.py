@@ -10,9 +10,9 @@ from typing import Any, Final
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.recorder.folder import FILE_NAME, number_of, recording_files
 from handfast.deploy.hosts.connection import HostConnection, HostError
-from handfast.deploy.hosts.view import Row
-from handfast.deploy.inventory.folders import cache_folder
+from handfast.deploy.hosts.jobs import Row
 from handfast.deploy.inventory.hosts import robots_on
+from handfast.deploy.inventory.own_orders import cache_folder
 
 PART_BYTES: Final = 1 << 20
 SHARE_MAX: Final = 10

@@ -49,7 +49,7 @@ PLUGINS: Final = "handfast_plugins.txt"
 LOCK: Final = ".lock"
 LINGER: Final = Path("/var/lib/systemd/linger")
 TRIED: Final = re.compile(r"^# sandbox: tried [^\n]*\n.*?^# sandbox: until here$", re.MULTILINE | re.DOTALL)
-"""Settings of a unit that need not work here (`deploy.hosts.artifacts.sandboxing`)."""
+"""Settings of a unit that need not work here (`deploy.hosts.systemd_units`)."""
 WRITES: Final = re.compile(r"^ReadWritePaths=.*\n", re.MULTILINE)
 """The one of them that is each unit's own: its folders need not be there, so it cannot fail."""
 LEFT_OUT: Final = "# sandbox: left out, as users' units can have no namespaces on this computer"

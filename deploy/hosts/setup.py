@@ -1,20 +1,100 @@
-"""Makes one host ready for its robots and its router: looks at it, installs, writes the fleet file, what is
-to start."""
+"""Makes one host ready for its robots and its router.
+
+It looks at the host and at the serial ports of its vehicles, installs, writes the fleet file, finds what is
+to start, and starts the router. A serial port is only looked at: the bridge that has it has it alone.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple, Protocol
 
+from handfast.agent.common.wording import printable
 from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
-from handfast.deploy.hosts.artifacts import systemd_units
-from handfast.deploy.hosts.artifacts.bundle import Bundle, BundleError, Platform, bundle_for
+from handfast.deploy.hosts import remote_vehicle, systemd_units
+from handfast.deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for
 from handfast.deploy.hosts.connection import Clock, HostConnection, HostError
-from handfast.deploy.hosts.vehicle_ports import port_warnings
 from handfast.deploy.inventory.hosts import robots_on
+
+TEXT_MAX: Final = 200
+
+
+def port_warnings(connection: HostConnection, fleet: Fleet) -> list[str]:
+    """Sentences, one for each thing that is wrong with a robot's port on that host.
+
+    Raises:
+        HostError: the host does not answer.
+    """
+    wanted = {}
+    for robot in robots_on(fleet, connection.host):
+        section = fleet.robot(robot).section(MavlinkSection)
+        if section is not None and (section.connection or "").startswith("/dev/"):
+            wanted[robot] = str(section.connection)
+    if not wanted:
+        return []
+    connection.extend(remote_vehicle)
+    found = connection.ask("ports", paths=sorted(set(wanted.values())))
+    user = printable(str(connection.about["user"]))
+    try:
+        return [
+            f"robot {robot}: {path}: {text}"
+            for robot, path in wanted.items()
+            for text in _sentences(found[path], user)
+        ]
+    except (LookupError, TypeError, AttributeError):
+        raise HostError("what it says of its serial ports makes no sense") from None
+
+
+def _sentences(found: Mapping[str, Any], user: str) -> Iterator[str]:
+    """What to say of one port (`deploy.hosts.remote_vehicle.port`)."""
+
+    def said(what: str) -> str:
+        return printable(str(found[what])[:TEXT_MAX])
+
+    if "there" in found:
+        others = [printable(str(each)[:TEXT_MAX]) for each in found["there"]]
+        instead = (
+            f"there {'are' if len(others) > 1 else 'is'} {', '.join(others)}" if others else "nor any other"
+        )
+        yield (
+            f"is not there, {instead}: connect it, or correct mavlink.connection (a UART of a Raspberry Pi: "
+            "enable_uart=1 in config.txt); its bridge waits for it"
+        )
+    if "kind" in found:
+        yield f"is {said('kind')}, no serial port: correct mavlink.connection"
+    if found.get("denied"):
+        group = said("denied")
+        yield (
+            f"is for the group {group}, and {user} is not in it: sudo usermod -aG {group} {user} there, then "
+            "restart that computer"
+        )
+    elif "denied" in found:
+        yield (
+            "is for its owner alone, as a port is that a console has: take that off it, or write a rule of "
+            'udev\'s there (GROUP="dialout", MODE="0660")'
+        )
+    if "late" in found:
+        yield (
+            f"{user} is in the group {said('late')}, but was not when its systemd began there: restart that "
+            "computer"
+        )
+    if "console" in found:
+        yield (
+            f"{said('console')} is on it, and would speak to the vehicle: take console=... out of the "
+            "kernel's command line there and sudo systemctl disable --now serial-getty@... (a Raspberry Pi: "
+            "raspi-config, serial port: no login shell, hardware on), then restart that computer"
+        )
+    if "modem" in found:
+        yield (
+            "ModemManager runs there, and speaks to what is on a USB port to see whether it is a modem: sudo "
+            "systemctl disable --now ModemManager"
+        )
+
 
 INSTALL_TIMEOUT_S: Final = 400.0
 INSTALL_BYTES: Final = 500_000_000
@@ -73,7 +153,7 @@ def prepare(
     Args:
         fleet: resolved and located.
         text: of the fleet file that robots read.
-        program: `deploy.hosts.artifacts.bundle.program_archive`.
+        program: `deploy.hosts.bundle.program_archive`.
         keys: gives robots and routers of a secured fleet their certificates.
         before_changes: called when all is there, before the robots' files and units change; may raise.
         robots: False for the router alone: its robots and their units are left as they are.
@@ -206,3 +286,54 @@ def install(connection: HostConnection, bundle: Bundle, say: Say) -> None:
         program=program,
         timeout_s=INSTALL_TIMEOUT_S,
     )
+
+
+LOOK_S: Final = 0.2
+
+
+def start_router(
+    connection: HostConnection,
+    fleet: str,
+    prepared: Prepared,
+    timeout_s: float,
+    ended: Callable[[], bool],
+) -> None:
+    """Has those units of a host's router start that do not run as they should; waits until all of them do.
+
+    Args:
+        fleet: its name.
+        ended: whether nobody waits for it any more.
+
+    Raises:
+        HostError: one does not run; the text says what its process said last.
+    """
+    names = prepared.stale_router
+    if not names:
+        return
+    before = _processes(connection, fleet)
+    connection.ask("units", wanted=prepared.router)
+    connection.ask("restart", names=names)
+    deadline = time.monotonic() + timeout_s
+    while True:
+        # A unit that was asked to start again may be seen as it was: another process tells that it has.
+        now = _processes(connection, fleet)
+        lacking = [name for name in names if not _is_new(now.get(name, {}), before.get(name, {}))]
+        if not lacking:
+            return
+        failed = [name for name in lacking if now.get(name, {}).get("ActiveState") == "failed"]
+        if failed or ended() or time.monotonic() > deadline:
+            break
+        time.sleep(LOOK_S)
+    name = (failed or lacking)[0]
+    lines = connection.ask("last_lines", name=name, count=1)
+    state = connection.ask("states", names=[name])[name]
+    raise HostError(f"its router is {state}{f': {lines[-1]}' if lines else ''}")
+
+
+def _processes(connection: HostConnection, fleet: str) -> Mapping[str, Mapping[str, Any]]:
+    found: Mapping[str, Mapping[str, Any]] = connection.ask("status", fleet=fleet)["units"]
+    return found
+
+
+def _is_new(about: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    return about.get("ActiveState") == "active" and about.get("MainPID") != before.get("MainPID", "0")

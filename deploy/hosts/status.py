@@ -1,4 +1,4 @@
-"""What is known of each process of a fleet on its hosts, as rows for programs and as a table for people."""
+"""What is known of each process of a fleet, on its hosts or on this machine, as rows and as a table."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
@@ -17,16 +18,22 @@ from handfast.agent.common.wording import printable
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
+from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.messages.types import Status
 from handfast.agent.security.certificates import DAY_S, until
 from handfast.agent.security.identity import Identity, IdentityError, of_robot, of_router, parse
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.console.wording import FEW, robots
 from handfast.deploy.drive.display.fleet_table import STYLES
-from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts import systemd_units
 from handfast.deploy.hosts.certificates import identities_on
 from handfast.deploy.hosts.connection import Clock, HostError
 from handfast.deploy.inventory.expiry import Expiry
+from handfast.deploy.inventory.known_fleets import KnownFleet
+from handfast.deploy.inventory.registry import Running
+from handfast.deploy.processes.log_files import last_words
+from handfast.deploy.processes.table import PAUSED, fleet_processes, state_of
+from handfast.deploy.recording.run_files import LOG_FOLDER
 
 HERE: Final = "here"
 QUIET: Final = "-"
@@ -308,3 +315,42 @@ def _span(seconds: float | None) -> str:
     if seconds < 3600:
         return f"{seconds / 60:.0f}min"
     return f"{seconds / 3600:.1f}h"
+
+
+def logs_of(known: KnownFleet) -> Path | None:
+    """The folder of the logs of a fleet that runs here; None where others started its processes."""
+    for run in known.runs:
+        if not run.attached:
+            return Path(run.folder) / LOG_FOLDER
+    return None
+
+
+def run_words(run: Running) -> str:
+    """A run and its process on one line."""
+    what = "driven" if run.attached else "run"
+    paused = f", PAUSED: `fg` there or `kill -CONT {run.pid}` lets it go on" * (state_of(run.pid) == PAUSED)
+    return f"{what} by process {run.pid} since {run.started[11:]}{paused}: {run.folder}"
+
+
+def this_machine(fleet: Fleet, fleet_file: Path, logs: Path | None) -> HostStatus:
+    """What is known here of the agents and plants that read this fleet file.
+
+    Args:
+        logs: the folder of their logs, None where they have none.
+    """
+    processes = fleet_processes(fleet, fleet_file)
+    units: dict[str, dict[str, Any]] = {}
+    for robot in fleet.ids:
+        for role in ROLES:
+            about = units.setdefault(systemd_units.unit_name(fleet.fleet.name, robot, role), {})
+            if logs is not None:
+                about["StatusText"] = last_words(logs, robot, role)
+            process = processes.get((robot, role))
+            if process is not None:
+                about |= {
+                    "ActiveState": process.state,
+                    "cpu_s": process.cpu_s,
+                    "age_s": process.age_s,
+                    "memory_bytes": float(process.memory_bytes),
+                }
+    return HostStatus(units)

@@ -19,7 +19,7 @@ from handfast.agent.runtime.order_store import packed
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.hosts.connection import ANSWER_BYTES, HostConnection, HostError
 from handfast.deploy.hosts.remote_program import STOP_TEXT_MAX, STOPS_SHOWN
-from handfast.deploy.inventory import ssh
+from handfast.deploy.inventory import hosts
 from handfast.deploy.inventory.hosts import robots_on
 from handfast.deploy.orders.robot_clocks import OFF_NS
 from handfast.deploy.orders.stop_outcome import SAYS_BRAKES, Stopping
@@ -80,7 +80,7 @@ class SshWay:
             self._content.clear()
             self._news.notify_all()
         if not self._threads:
-            ssh.allow_many()
+            hosts.allow_many()
             self._threads = [
                 threading.Thread(target=self._run, args=(host,), name=host.name, daemon=True)
                 for host in self._hosts

@@ -27,18 +27,25 @@ from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots as robots_words
 from handfast.deploy.console.wording import some
 from handfast.deploy.drive.preconditions import clock, older_mission, why
-from handfast.deploy.hosts import realtime
+from handfast.deploy.hosts import preflight, systemd_units
 from handfast.deploy.hosts.arrivals import Arrivals
-from handfast.deploy.hosts.artifacts import systemd_units
-from handfast.deploy.hosts.artifacts.bundle import program_archive
-from handfast.deploy.hosts.artifacts.plugin_files import plugin_modules
+from handfast.deploy.hosts.bundle import program_archive
 from handfast.deploy.hosts.certificates import AnotherAuthorityError, HostKeys
 from handfast.deploy.hosts.connection import HostConnection, HostError
-from handfast.deploy.hosts.jobs import AT_ONCE_MAX, HostJobs, Work
+from handfast.deploy.hosts.jobs import (
+    AT_ONCE_MAX,
+    DOING,
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    HostJobs,
+    HostsView,
+    Row,
+    Work,
+)
+from handfast.deploy.hosts.plugin_files import plugin_modules
 from handfast.deploy.hosts.remote_program import STOP_TEXT_MAX
-from handfast.deploy.hosts.router_start import start_router
-from handfast.deploy.hosts.setup import Prepared, prepare
-from handfast.deploy.hosts.view import DOING, DONE, FAILED, INTERRUPTED, HostsView, Row
+from handfast.deploy.hosts.setup import Prepared, prepare, start_router
 from handfast.deploy.inventory.hosts import robots_on, robots_text
 from handfast.deploy.inventory.operator_credentials import short
 from handfast.deploy.session.sealing import sealed, unsealed
@@ -343,7 +350,7 @@ class BringUp:
         what = self._start(row, connection, prepared)
         if self.fleet.process.realtime:
             row.step = "looking what real time was granted"
-            refused = realtime.warnings(realtime.lines_on(connection, self.fleet))
+            refused = preflight.warnings(preflight.lines_on(connection, self.fleet))
             self.warnings += [f"{row.host}: {warning}" for warning in refused]
         row.step = "looking for what is left"
         self.warnings += [f"{row.host}: {warning}" for warning in self._left_over(connection, prepared)]

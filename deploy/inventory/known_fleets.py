@@ -1,11 +1,13 @@
-"""Which fleets there are: those that run on this machine and those that are up on hosts; and which one is
-meant by what a user gives.
+"""Which fleets run on this machine or are up on hosts, and which of them a user means.
 
-Nobody is asked over the network. Fleets of other users of this machine are not among them.
+Nobody is asked over the network. Fleets of other users of this machine are not among them. Commands for a
+running fleet find it here, and report failures in the same words.
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,16 +16,16 @@ from pathlib import Path
 from shlex import quote
 from typing import Final
 
+from handfast.agent.common.exit import BAD_INPUT, FAILED
 from handfast.agent.common.wording import did_you_mean, show
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.fleet.sections import Robot
-from handfast.deploy.console.arguments import fleet_path, refuse_long
+from handfast.deploy.console.arguments import InputError, fleet_path, refuse_long
 from handfast.deploy.console.data_files import bundled
 from handfast.deploy.console.wording import NAMES_SHOWN, some
-from handfast.deploy.inventory.fleets_up import FleetUp, fleets_up
 from handfast.deploy.inventory.hosts import located
-from handfast.deploy.inventory.registry import Running, entries
+from handfast.deploy.inventory.registry import FleetUp, Running, entries, fleets_up
 
 NONE: Final = "no fleet runs here"
 
@@ -274,3 +276,56 @@ def _those() -> str:
     more = f" and {len(fleets) - NAMES_SHOWN} more" if len(fleets) > NAMES_SHOWN else ""
     text = f"{text}{shown}{more}" if fleets else f"; {NONE}"
     return "; ".join([text, *unreadable()])
+
+
+MEANING = (
+    "FLEET is the name of a fleet that runs on this machine or that was brought up on hosts from here "
+    "(`handfast status`), the number of its process, the folder of its run, or a fleet file; the name of a "
+    "bundled fleet means its file where no such fleet is known."
+)
+
+Command = Callable[[argparse.Namespace], int]
+
+
+class NoAnswerError(Exception):
+    """The fleet cannot be reached; the text is one clear message."""
+
+
+def running_fleet(what: str) -> Fleet:
+    """The fleet that is meant, as its processes read it, with the addresses of its hosts.
+
+    Raises:
+        handfast.deploy.inventory.known_fleets.NotRunningError, handfast.agent.fleet.model.FleetError: see
+        `deploy.inventory.known_fleets.find`. InputError: nobody knows where a host is.
+    """
+    from handfast.deploy.inventory.known_fleets import find
+
+    return as_running(find(what))
+
+
+def as_running(known: KnownFleet) -> Fleet:
+    """A known fleet as its processes read it, with the addresses of its hosts; raises as `running_fleet`."""
+    from handfast.deploy.inventory.hosts import located
+
+    return located(known.fleet) if known.on_hosts else known.fleet
+
+
+def handled(command: Command) -> Command:
+    """`command`, with what may go wrong with a running fleet said in one line."""
+
+    def run(options: argparse.Namespace) -> int:
+        # Here: opening the bus takes its time, and most commands do not.
+        from handfast.agent.runtime.runtime_folder import NotPrivateError
+        from handfast.agent.transport.bus import BusError
+        from handfast.deploy.inventory.known_fleets import NotRunningError
+
+        try:
+            return command(options)
+        except (FleetError, NotRunningError, NotPrivateError, InputError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return BAD_INPUT
+        except (BusError, NoAnswerError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return FAILED
+
+    return run

@@ -74,7 +74,7 @@ def beat(fleet: Fleet, interrupt: Interrupt, stream: TextIO) -> None:
     """Sends heartbeats to a running fleet until interrupted.
 
     Raises:
-        handfast.deploy.inventory.running.NoAnswerError: nobody is there.
+        handfast.deploy.inventory.known_fleets.NoAnswerError: nobody is there.
         handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(HeartbeatSession(fleet), interrupt) as session:

@@ -9,7 +9,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.orders import OrderSection
 from handfast.agent.formation.mission_plan import Plan
 from handfast.agent.messages.types import Message, Mission
-from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.inventory.known_fleets import NoAnswerError
 from handfast.deploy.orders.mission_editing import must_be_known
 from handfast.deploy.orders.mission_outcome import Ordering
 from handfast.deploy.orders.operator import HEARD_NS, NO_MISSION

@@ -8,7 +8,7 @@ from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Message
-from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.inventory.known_fleets import NoAnswerError
 from handfast.deploy.orders.operator import Known, is_since
 from handfast.deploy.orders.resume_outcome import Resuming
 from handfast.deploy.session.operator_session import OperatorSession
@@ -66,7 +66,7 @@ def resume(fleet: Fleet, robots: Sequence[int], given_ns: int) -> tuple[Resuming
         given_ns: see `ResumeSession.resume`.
 
     Raises:
-        handfast.deploy.inventory.running.NoAnswerError: nobody is there.
+        handfast.deploy.inventory.known_fleets.NoAnswerError: nobody is there.
         handfast.agent.transport.bus.BusError: the bus cannot be opened.
     """
     with connected(ResumeSession(fleet)) as session:

@@ -16,7 +16,7 @@ from handfast.agent.runtime.clock import RealClock
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.faults.live import Receiver, receivers
-from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.inventory.known_fleets import NoAnswerError
 from handfast.deploy.session.operator_bus import operator_bus
 
 CONNECT_S: Final = 3.0

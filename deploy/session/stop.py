@@ -130,7 +130,7 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
         ways: by which it goes besides new links; they are closed.
 
     Raises:
-        handfast.deploy.inventory.running.NoAnswerError: nobody is there, by any way.
+        handfast.deploy.inventory.known_fleets.NoAnswerError: nobody is there, by any way.
         handfast.agent.transport.bus.BusError: there is no other way, and the bus cannot be opened.
         handfast.deploy.console.arguments.InputError: nor can it with this operator's certificate, and nobody
         is heard

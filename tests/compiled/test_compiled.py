@@ -92,8 +92,8 @@ def test_what_is_sent_to_a_robots_computer_of_this_kind_is_compiled(tmp_path: Pa
     """Its wheel beside our packages, as `handfast up` installs them; without the wheel they are Python."""
     made = (
         "from pathlib import Path; "
-        "from handfast.deploy.hosts.artifacts.bundle import PACKAGES, program_archive; "
-        "from handfast.deploy.hosts.artifacts.compiled_wheel import compiled_modules, wheel; "
+        "from handfast.deploy.hosts.bundle import PACKAGES, program_archive; "
+        "from handfast.deploy.hosts.bundle import compiled_modules, wheel; "
         "name, data = wheel(compiled_modules(PACKAGES)); Path(name).write_bytes(data); "
         "Path('program.zip').write_bytes(program_archive())"
     )

@@ -14,7 +14,7 @@ import pytest
 import tomli_w
 
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.hosts.artifacts.bundle import Platform, bundle_for
+from handfast.deploy.hosts.bundle import Platform, bundle_for
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
 from tests.process.harness import ROOT, wait_for

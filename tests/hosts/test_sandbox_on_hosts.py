@@ -15,8 +15,8 @@ import pytest
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.hosts.artifacts.sandboxing import TRIED
 from handfast.deploy.hosts.remote_program import LEFT_OUT
+from handfast.deploy.hosts.systemd_units import TRIED
 from handfast.deploy.processes.placement import vehicle
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.host import Host, Setup

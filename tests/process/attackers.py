@@ -42,8 +42,8 @@ from handfast.agent.messages.types import (
     Stop,
     Wrench,
 )
-from handfast.agent.security.access_control import tls_settings
 from handfast.agent.security.credentials import Credentials, Files, load
+from handfast.agent.security.identity import tls_settings
 from handfast.agent.security.sealed_order import DOMAIN, VERSION
 from handfast.agent.transport.bus import PAYLOAD_BYTES_MAX, settings_of
 from tests.process.harness import wait_for

@@ -16,9 +16,8 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
-from handfast.agent.security.access_control import Security
 from handfast.agent.security.credentials import Files, load
-from handfast.agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
+from handfast.agent.security.identity import MAIN, Identity, Security, of_operator, of_robot, of_router
 from handfast.agent.transport.bus import Bus
 from handfast.agent.transport.sealed_bus import gate_of
 from handfast.deploy.inventory.certificate_authority import Authority

@@ -14,7 +14,7 @@ from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.messages.types import PlantState
 from handfast.agent.supervision.situation import NOT_SAID
 from handfast.agent.transport.bus import BusError
-from handfast.deploy.inventory.running import NoAnswerError
+from handfast.deploy.inventory.known_fleets import NoAnswerError
 from handfast.deploy.session import stop as stop_module
 from handfast.deploy.session.resume import resume
 from handfast.deploy.session.stop import Way

@@ -23,9 +23,15 @@ import zenoh
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Resume, Stop
-from handfast.agent.security.access_control import Security, tls_settings
 from handfast.agent.security.credentials import Files, load
-from handfast.agent.security.identity import Identity, of_operator, of_robot, of_router
+from handfast.agent.security.identity import (
+    Identity,
+    Security,
+    of_operator,
+    of_robot,
+    of_router,
+    tls_settings,
+)
 from handfast.agent.security.sealed_order import Sealer
 from handfast.agent.transport.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
 from handfast.deploy.inventory.certificate_authority import Authority

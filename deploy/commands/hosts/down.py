@@ -17,11 +17,11 @@ from handfast.deploy.console.arguments import (
 )
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import FEW
-from handfast.deploy.inventory.running import NoAnswerError, handled
+from handfast.deploy.inventory.known_fleets import NoAnswerError, handled
 
 if TYPE_CHECKING:
     from handfast.deploy.hosts.connection import HostConnection
-    from handfast.deploy.hosts.view import HostsView, Row
+    from handfast.deploy.hosts.jobs import HostsView, Row
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,11 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _down(options: argparse.Namespace) -> int:
-    from handfast.deploy.hosts.jobs import HostJobs
-    from handfast.deploy.hosts.view import DONE as HOST_DONE
-    from handfast.deploy.hosts.view import make_hosts_view
-    from handfast.deploy.inventory.fleets_up import note_down
+    from handfast.deploy.hosts.jobs import DONE as HOST_DONE
+    from handfast.deploy.hosts.jobs import HostJobs, make_hosts_view
     from handfast.deploy.inventory.hosts import hosts_of, located
+    from handfast.deploy.inventory.registry import note_down
 
     fleet = load(options)
     interrupt = Interrupt()

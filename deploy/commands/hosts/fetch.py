@@ -19,7 +19,7 @@ from handfast.deploy.console.arguments import (
 )
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.times import FORMS, point_in_time
-from handfast.deploy.inventory.running import handled
+from handfast.deploy.inventory.known_fleets import handled
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,11 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _fetch(options: argparse.Namespace) -> int:
     from handfast.deploy.drive.outcome import conclude
     from handfast.deploy.hosts.fetch import Fetching
-    from handfast.deploy.hosts.jobs import HostJobs
-    from handfast.deploy.hosts.view import FAILED as HOST_FAILED
-    from handfast.deploy.hosts.view import make_hosts_view
-    from handfast.deploy.inventory.folders import out_folder, refuse_full
+    from handfast.deploy.hosts.jobs import FAILED as HOST_FAILED
+    from handfast.deploy.hosts.jobs import HostJobs, make_hosts_view
     from handfast.deploy.inventory.hosts import hosts_of, located
+    from handfast.deploy.inventory.own_orders import out_folder, refuse_full
     from handfast.deploy.merging.merge import Choice, Known, merge
     from handfast.deploy.merging.robot_files import MergeError
     from handfast.deploy.recording.recorder import RecordingError

@@ -10,11 +10,17 @@ from handfast.agent.security import private_files
 from handfast.agent.security.credentials import authority_of
 from handfast.agent.security.identity import of_operator
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.inventory import operator_requests
+from handfast.deploy.inventory import operator_credentials
 from handfast.deploy.inventory.certificate_authority import Authority
-from handfast.deploy.inventory.certificate_requests import REQUEST_BYTES_MAX
-from handfast.deploy.inventory.operator_credentials import AUTHORITY_FILE, OPERATOR, operator_name, short
-from handfast.deploy.inventory.operator_requests import SIGNED_BYTES_MAX, requested_by
+from handfast.deploy.inventory.operator_credentials import (
+    AUTHORITY_FILE,
+    OPERATOR,
+    REQUEST_BYTES_MAX,
+    SIGNED_BYTES_MAX,
+    operator_name,
+    requested_by,
+    short,
+)
 
 
 def existing(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> Authority:
@@ -28,7 +34,7 @@ def existing(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: flo
 def request(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
     """Makes a request for this operator's certificate, for the authority elsewhere."""
     identity, out = of_operator(fleet.fleet.name, options.operator), Path(options.out).expanduser()
-    private_files.write(out, operator_requests.request(folder, identity))
+    private_files.write(out, operator_credentials.request(folder, identity))
     print(
         f"{identity}: wrote {out}; where the authority is, `handfast keys {options.fleet} --sign {out.name} "
         f"--out FILE`; then here, `handfast keys {options.fleet} --install FILE`"
@@ -61,7 +67,7 @@ def _read(file: str, most: int) -> bytes:
 def install(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
     """Takes an operator's certificate that the authority elsewhere has signed."""
     bundle = _read(options.install, SIGNED_BYTES_MAX)
-    found = operator_requests.install(folder, bundle, fleet.fleet.name, fleet.network.operators, now_s)
+    found = operator_credentials.install(folder, bundle, fleet.fleet.name, fleet.network.operators, now_s)
     who = found.identity
     print(
         f"{who}: installed {found.files.certificate}, of the authority {short(found.authority_fingerprint)}: "

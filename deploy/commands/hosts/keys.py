@@ -42,11 +42,11 @@ from handfast.deploy.console.arguments import (
     place_for,
 )
 from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError, Issued
-from handfast.deploy.inventory.certificate_requests import RequestError
 from handfast.deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
     KEYS,
     OPERATOR,
+    RequestError,
     keys_folder,
     operator_name,
     short,
@@ -221,7 +221,7 @@ def _provide_all(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s:
 
 def _refuse_while_up(fleet: Fleet) -> None:
     """Raises `InputError` where this operator has brought the fleet up: no order would reach its robots."""
-    from handfast.deploy.inventory.fleets_up import fleets_up
+    from handfast.deploy.inventory.registry import fleets_up
 
     for each in fleets_up()[0]:
         if each.name == fleet.fleet.name:

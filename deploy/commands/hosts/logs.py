@@ -31,12 +31,11 @@ from handfast.deploy.console.arguments import (
 )
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.times import FORMS, point_in_time
-from handfast.deploy.hosts.artifacts import systemd_units
-from handfast.deploy.inventory import ssh
-from handfast.deploy.inventory.hosts import hosts_of, located, robots_on
-from handfast.deploy.inventory.known_fleets import KnownFleet, NotRunningError, find
+from handfast.deploy.hosts import systemd_units
+from handfast.deploy.inventory import hosts
+from handfast.deploy.inventory.hosts import allow_many, hosts_of, located, robots_on
+from handfast.deploy.inventory.known_fleets import MEANING, KnownFleet, NotRunningError, find, handled
 from handfast.deploy.inventory.registry import running
-from handfast.deploy.inventory.running import MEANING, handled
 from handfast.deploy.processes.log_files import LogFile, log_files
 from handfast.deploy.recording.run_files import FLEET_FILE, LOG_FOLDER
 
@@ -103,7 +102,7 @@ def _logs(options: argparse.Namespace) -> int:
             return _here(known, wanted, options, interrupt)
         hosts = hosts_of(fleet, str(known.fleet_file), options.hosts)
         fleet = located(fleet)
-        ssh.allow_many()
+        allow_many()
         readers = [
             Reader(host, command(fleet, host, robots, since_s, options))
             for host in hosts
@@ -148,7 +147,7 @@ def _here(
     Raises:
         InputError: there are none, or they cannot answer what is asked.
     """
-    from handfast.deploy.hosts.this_machine import logs_of  # here: it needs packages that hosts' logs do not
+    from handfast.deploy.hosts.status import logs_of  # here: it needs packages that hosts' logs do not
 
     folder = logs_of(known) if known.runs else known.fleet_file.parent / LOG_FOLDER
     if folder is None or not folder.is_dir():
@@ -235,17 +234,17 @@ class Reader:
         self._said = b""
         try:
             self._process = subprocess.Popen(
-                ssh.command(host, remote),
+                hosts.command(host, remote),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 start_new_session=True,
             )
         except FileNotFoundError:
-            raise InputError(ssh.NO_SSH) from None
+            raise InputError(hosts.NO_SSH) from None
         except OSError as error:
             why = (error.strerror or str(error)).lower()
-            raise InputError(f"{host.name}: {ssh.NOT_STARTED}: {why}") from None
+            raise InputError(f"{host.name}: {hosts.NOT_STARTED}: {why}") from None
         self._listener = threading.Thread(target=self._listen_errors, daemon=True)
         self._listener.start()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -273,7 +272,7 @@ class Reader:
         status = self._process.wait()
         self._listener.join(1.0)  # a master connection of ssh's own, which goes on, may hold it open
         if status:
-            self.error = ssh.ended(self.host, status, self._said.decode(errors="replace"))
+            self.error = hosts.ended(self.host, status, self._said.decode(errors="replace"))
         self._lines.put(None)
 
     def _listen_errors(self) -> None:

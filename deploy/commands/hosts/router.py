@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from handfast.agent.common.exit import INTERRUPTED, PASSED
 from handfast.deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.inventory.running import handled
+from handfast.deploy.inventory.known_fleets import handled
 
 if TYPE_CHECKING:
     from handfast.agent.fleet.model import Fleet
-    from handfast.agent.security.access_control import Security
+    from handfast.agent.security.identity import Security
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.deploy.console.arguments import InputError, describe, host_argument, refuse_hosts
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import FEW, some
-from handfast.deploy.inventory.running import MEANING, handled
+from handfast.deploy.inventory.known_fleets import MEANING, handled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from handfast.deploy.analysis.silent_bodies import SilentBody
     from handfast.deploy.hosts.status import HostStatus
     from handfast.deploy.inventory.expiry import Expiry
-    from handfast.deploy.inventory.fleets_up import FleetUp
     from handfast.deploy.inventory.known_fleets import KnownFleet
-    from handfast.deploy.inventory.registry import Running
+    from handfast.deploy.inventory.registry import FleetUp, Running
     from handfast.deploy.session.operator_session import OperatorSession
 
 HEADINGS: Final = ("fleet", "where", "robots", "since", "state", "process", "stop it with", "files")
@@ -200,11 +199,10 @@ def _here(fleet: Fleet, known: KnownFleet, interrupt: Interrupt) -> Seen:
     """What is known of a fleet that runs on this machine.
 
     Raises:
-        handfast.deploy.inventory.running.NoAnswerError: none of its processes is there.
+        handfast.deploy.inventory.known_fleets.NoAnswerError: none of its processes is there.
     """
     from handfast.agent.messages.key_expressions import ROLES
-    from handfast.deploy.hosts.status import process_row
-    from handfast.deploy.hosts.this_machine import logs_of, run_words, this_machine
+    from handfast.deploy.hosts.status import logs_of, process_row, run_words, this_machine
 
     with Ears(fleet, "", interrupt) as ears:
         ears.wait(lambda: interrupt.count > 0 or ears.know, LISTEN_S)
@@ -223,9 +221,10 @@ def _here(fleet: Fleet, known: KnownFleet, interrupt: Interrupt) -> Seen:
 
 def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: Interrupt) -> Seen:
     """What is known of a fleet (located) on these hosts of its; `what`: as the user named it."""
-    from handfast.deploy.hosts.artifacts import systemd_units
+    from handfast.deploy.hosts import systemd_units
     from handfast.deploy.hosts.connection import HostConnection
-    from handfast.deploy.hosts.jobs import HostJobs
+    from handfast.deploy.hosts.jobs import FAILED as HOST_FAILED
+    from handfast.deploy.hosts.jobs import HostJobs, Row
     from handfast.deploy.hosts.status import (
         HostStatus,
         expiries_on_hosts,
@@ -233,8 +232,6 @@ def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: 
         process_row,
         router_rows,
     )
-    from handfast.deploy.hosts.view import FAILED as HOST_FAILED
-    from handfast.deploy.hosts.view import Row
     from handfast.deploy.inventory.expiry import operators
 
     found = {host.name: HostStatus() for host in hosts}

@@ -21,7 +21,7 @@ from handfast.deploy.console.arguments import (
     no_changes,
 )
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.inventory.running import handled
+from handfast.deploy.inventory.known_fleets import handled
 
 if TYPE_CHECKING:
     from handfast.deploy.hosts.certificates import HostKeys
@@ -53,9 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _up(options: argparse.Namespace) -> int:
     from handfast.deploy.drive.outcome import refuse_errors
+    from handfast.deploy.hosts.jobs import DONE as HOST_DONE
+    from handfast.deploy.hosts.jobs import make_hosts_view
     from handfast.deploy.hosts.up import BringUp
-    from handfast.deploy.hosts.view import DONE as HOST_DONE
-    from handfast.deploy.hosts.view import make_hosts_view
     from handfast.deploy.inventory.expiry import operators, warnings
     from handfast.deploy.inventory.hosts import hosts_of, located, refuse_simulated
 
@@ -98,7 +98,7 @@ class Notes:
 
     def up(self, hosts: Sequence[str], *, complete: bool) -> None:
         """It is up on these hosts, or is about to be."""
-        from handfast.deploy.inventory.fleets_up import note_up
+        from handfast.deploy.inventory.registry import note_up
 
         try:
             if hosts:
@@ -141,7 +141,7 @@ def _keys(fleet: Fleet, options: argparse.Namespace) -> Iterator[HostKeys]:
 
 def _say(work: BringUp, interrupt: Interrupt) -> int:
     """Says what became of each robot; the exit status."""
-    from handfast.deploy.hosts.view import DONE as HOST_DONE
+    from handfast.deploy.hosts.jobs import DONE as HOST_DONE
 
     for router in work.fleet.routers:
         row = work.rows.get(router.host or "")

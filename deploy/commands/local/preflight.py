@@ -10,7 +10,7 @@ from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import InputError, describe, fleet_arguments, fleet_path, load
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.inventory.running import handled
+from handfast.deploy.inventory.known_fleets import handled
 
 if TYPE_CHECKING:
     from handfast.deploy.drive.preflight import Found

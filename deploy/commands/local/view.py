@@ -15,7 +15,7 @@ from handfast.agent.common.exit import INTERRUPTED
 from handfast.agent.fleet.model import FleetError
 from handfast.deploy.console.arguments import InputError, describe
 from handfast.deploy.console.interrupt import as_python_does
-from handfast.deploy.inventory.running import NoAnswerError, handled
+from handfast.deploy.inventory.known_fleets import NoAnswerError, handled
 from handfast.deploy.recording.run_files import RECORDING_FILE
 
 if TYPE_CHECKING:
@@ -120,8 +120,7 @@ def _recorded(options: argparse.Namespace, folder: Path) -> int:
 def _live(options: argparse.Namespace) -> int:
     from handfast.agent.formation.geometry import resolved
     from handfast.deploy.commands.running.ways import ways
-    from handfast.deploy.inventory.known_fleets import find
-    from handfast.deploy.inventory.running import as_running
+    from handfast.deploy.inventory.known_fleets import as_running, find
     from handfast.deploy.session.operator_bus import operator_bus
     from handfast.deploy.session.session import Session, connected
     from handfast.deploy.view.certificate import address_of, tls_of

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from handfast.agent.common.exit import FAILED, PASSED
 from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection
 from handfast.deploy.console.arguments import InputError, describe, fleet_path
-from handfast.deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.deploy.inventory.known_fleets import MEANING, handled, running_fleet
 from handfast.deploy.orders.options import OPTIONS, order_of_options, shape_tables
 
 if TYPE_CHECKING:

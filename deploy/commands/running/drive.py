@@ -21,7 +21,7 @@ from handfast.deploy.console.arguments import (
     view_argument,
 )
 from handfast.deploy.drive.outcome import finish, refuse_errors, run_folder
-from handfast.deploy.inventory.running import handled
+from handfast.deploy.inventory.known_fleets import handled
 
 if TYPE_CHECKING:
     from pathlib import Path

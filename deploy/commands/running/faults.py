@@ -13,7 +13,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.loading import read_text
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import InputError, describe, scenario_path
-from handfast.deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.deploy.inventory.known_fleets import MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
     from handfast.agent.common.settings import Entry

@@ -7,7 +7,7 @@ import sys
 
 from handfast.agent.common.exit import PASSED
 from handfast.deploy.console.arguments import InputError, describe
-from handfast.deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.deploy.inventory.known_fleets import MEANING, handled, running_fleet
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

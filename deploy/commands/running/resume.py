@@ -8,7 +8,7 @@ import time
 from handfast.agent.common.exit import FAILED, PASSED
 from handfast.deploy.console.arguments import describe, robots_argument, robots_named
 from handfast.deploy.console.wording import robots as some_robots
-from handfast.deploy.inventory.running import MEANING, handled, running_fleet
+from handfast.deploy.inventory.known_fleets import MEANING, handled, running_fleet
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,7 @@ from handfast.agent.common.exit import FAILED, PASSED
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.deploy.console.arguments import InputError, describe
-from handfast.deploy.inventory.running import MEANING, NoAnswerError, as_running, handled
+from handfast.deploy.inventory.known_fleets import MEANING, NoAnswerError, as_running, handled
 
 if TYPE_CHECKING:
     from handfast.deploy.inventory.known_fleets import KnownFleet

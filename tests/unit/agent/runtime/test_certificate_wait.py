@@ -12,7 +12,7 @@ from handfast.agent.runtime.certificate_wait import SAY_S, WAITS, wait_until_val
 from handfast.agent.runtime.systemd_notify import SystemdNotifier
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.identity import of_robot
-from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 ME = of_robot(FLEET, 1)

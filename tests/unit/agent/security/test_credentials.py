@@ -23,8 +23,7 @@ from handfast.agent.security.credentials import (
     wanting,
 )
 from handfast.agent.security.identity import of_operator, of_robot
-from handfast.deploy.inventory.certificate_authority import Authority
-from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 DAY_S = 86_400

@@ -25,8 +25,7 @@ from handfast.agent.security.sealed_order import (
     Order,
     Sealer,
 )
-from handfast.deploy.inventory.certificate_authority import Authority
-from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS, Authority
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOAD = encode(Heartbeat(int(NOW_S * 1e9), "ann"))

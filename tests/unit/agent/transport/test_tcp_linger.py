@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from handfast.agent.transport.tcp_linger import Lingering
+from handfast.agent.transport.tcp_sockets import Lingering
 
 
 def linger(of: socket.socket) -> tuple[int, int]:

@@ -16,8 +16,8 @@ from handfast.deploy.console.terminal import TerminalView
 from handfast.deploy.drive.display import terminal_view
 from handfast.deploy.drive.display.live_view import make_view
 from handfast.deploy.drive.watch import Picture, RobotPicture
-from handfast.deploy.hosts import view
-from handfast.deploy.hosts.view import Row, make_hosts_view
+from handfast.deploy.hosts import jobs
+from handfast.deploy.hosts.jobs import Row, make_hosts_view
 
 EVIL = "[/x] [bold]a\x1b[2Jb\nc"
 SAFE = "[/x] [bold]a\\x1b[2Jb\\nc"
@@ -88,7 +88,7 @@ def test_texts_are_shown_as_they_are(
     assert "\nc" not in text
 
 
-@pytest.mark.parametrize("make", [terminal_view.Terminal, view.Terminal])
+@pytest.mark.parametrize("make", [terminal_view.Terminal, jobs.Terminal])
 def test_a_ctrl_c_is_not_echoed_while_something_is_redrawn(make: Callable[[TextIO], TerminalView]) -> None:
     ours, theirs = pty.openpty()
     with open(ours, "wb"), open(theirs, "w") as terminal:
@@ -103,7 +103,7 @@ def test_a_ctrl_c_is_not_echoed_while_something_is_redrawn(make: Callable[[TextI
         assert echoes()
 
 
-@pytest.mark.parametrize("make", [terminal_view.Terminal, view.Terminal])
+@pytest.mark.parametrize("make", [terminal_view.Terminal, jobs.Terminal])
 def test_a_ctrl_c_drops_nothing_that_is_not_shown_yet(make: Callable[[TextIO], TerminalView]) -> None:
     ours, theirs = pty.openpty()
     with open(ours, "r+b", buffering=0) as keyboard, open(theirs, "w") as terminal, make(terminal) as shown:

@@ -18,7 +18,7 @@ from handfast.deploy.commands.hosts import fetch as fetch_command
 from handfast.deploy.console.arguments import InputError, no_changes
 from handfast.deploy.hosts.connection import HostError
 from handfast.deploy.hosts.fetch import FILES_MAX, NAME_BYTES, SHARE_MAX, Fetching
-from handfast.deploy.hosts.view import Row
+from handfast.deploy.hosts.jobs import Row
 from tests.unit.agent.fleet.test_hosts import HOSTS, fleet
 
 FLEET = fleet(HOSTS)

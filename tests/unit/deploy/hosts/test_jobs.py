@@ -10,8 +10,7 @@ import pytest
 
 from handfast.agent.fleet.hosts import HostSection
 from handfast.deploy.hosts.connection import HostConnection
-from handfast.deploy.hosts.jobs import HostJobs
-from handfast.deploy.hosts.view import DONE
+from handfast.deploy.hosts.jobs import DONE, HostJobs
 from tests.process.harness import wait_for
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 

@@ -24,8 +24,8 @@ from handfast.agent.transport.bus import BusError
 from handfast.deploy.cli import main
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.hosts import preflight
-from handfast.deploy.hosts.artifacts.systemd_units import unit_name
 from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.hosts.systemd_units import unit_name
 
 OK = CheckLine("link", "ok", "system 1 on /dev/serial0", "")
 BLOCKS = CheckLine("type", "blocking", "is a quadrotor (MAV_TYPE 2), not a rover", "")

@@ -14,9 +14,9 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.runtime.realtime_granted import Granted, to_json
 from handfast.deploy.cli import main
 from handfast.deploy.drive.vehicle_checks import WARNING
-from handfast.deploy.hosts.artifacts.systemd_units import unit_name
 from handfast.deploy.hosts.connection import HostError
-from handfast.deploy.hosts.realtime import granted_on, lines_on, warnings
+from handfast.deploy.hosts.preflight import granted_on, lines_on, warnings
+from handfast.deploy.hosts.systemd_units import unit_name
 from tests.unit.deploy.hosts import test_preflight
 from tests.unit.deploy.hosts.test_preflight import There, World, tables
 

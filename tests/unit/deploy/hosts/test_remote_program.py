@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 
 from handfast.agent.fleet.hosts import HostSection
-from handfast.deploy.hosts import remote_program
-from handfast.deploy.hosts.artifacts import sandboxing
+from handfast.deploy.hosts import remote_program, systemd_units
 from handfast.deploy.hosts.connection import HostConnection, HostError
 from tests.process.harness import wait_for
 
@@ -144,7 +143,7 @@ def test_a_file_that_systemd_has_not_read_counts_as_unwritten(home: Path, host: 
     assert compared(host, agent="a")["unwritten"] == [AGENT]
 
 
-CLOSED = f"a\n{sandboxing.TRIED}\nPrivateUsers=yes\nReadWritePaths=-/%d\n{sandboxing.UNTIL}\nb"
+CLOSED = f"a\n{systemd_units.TRIED}\nPrivateUsers=yes\nReadWritePaths=-/%d\n{systemd_units.UNTIL}\nb"
 
 
 def test_settings_that_do_not_work_here_are_tried_and_left_out(home: Path, tmp_path: Path) -> None:

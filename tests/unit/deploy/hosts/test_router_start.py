@@ -12,10 +12,10 @@ import pytest
 from handfast.agent.transport.bus import BusError
 from handfast.deploy.commands.hosts.up import _say
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.hosts.artifacts.bundle import Bundle
+from handfast.deploy.hosts.bundle import Bundle
 from handfast.deploy.hosts.connection import HostError
+from handfast.deploy.hosts.jobs import DONE, FAILED
 from handfast.deploy.hosts.up import BringUp
-from handfast.deploy.hosts.view import DONE, FAILED
 from handfast.deploy.inventory.hosts import hosts_of
 from tests.unit.deploy.hosts.test_up import QUICK, Keys, There, View, World, bring, ends
 from tests.unit.deploy.hosts.two_hosts import WHEELS, fleet

@@ -14,6 +14,7 @@ from handfast.agent.messages.types import Status
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.identity import of_robot, of_router
 from handfast.deploy.hosts.connection import Clock, HostError
+from handfast.deploy.hosts.jobs import FAILED, INTERRUPTED, Lines, Row, Terminal
 from handfast.deploy.hosts.status import (
     HostStatus,
     expiries_on_hosts,
@@ -23,8 +24,7 @@ from handfast.deploy.hosts.status import (
     process_row,
     router_rows,
 )
-from handfast.deploy.hosts.view import FAILED, INTERRUPTED, Lines, Row, Terminal
-from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from tests.trusted import NOW_S, authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, ROUTERS, fleet
 

@@ -17,8 +17,7 @@ from handfast.agent.messages.types import Stop
 from handfast.agent.messages.versions import as_believed
 from handfast.agent.runtime.order_store import STOP_FILE, packed, unpacked
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.hosts import stop_by_ssh
-from handfast.deploy.hosts.artifacts import systemd_units
+from handfast.deploy.hosts import stop_by_ssh, systemd_units
 from handfast.deploy.hosts.stop_by_ssh import SshWay
 from handfast.deploy.orders.stop_outcome import Stopping
 from tests.process.harness import wait_for

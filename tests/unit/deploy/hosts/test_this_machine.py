@@ -8,9 +8,8 @@ import pytest
 
 from handfast.agent.fleet.loading import load_fleet
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.hosts import this_machine
-from handfast.deploy.hosts.status import process_row
-from handfast.deploy.hosts.this_machine import logs_of, run_words
+from handfast.deploy.hosts import status
+from handfast.deploy.hosts.status import logs_of, process_row, run_words
 from handfast.deploy.inventory.known_fleets import KnownFleet
 from handfast.deploy.inventory.registry import Running
 from handfast.deploy.processes.table import PAUSED, RUNS, ProcessState
@@ -25,17 +24,17 @@ def test_a_row_of_each_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "robot-1-agent.log").write_text("robot 1 agent: running\n")
     (tmp_path / "robot-2-agent.log").write_text("robot 2 agent: ending (SIGTERM)\n")
     monkeypatch.setattr(
-        this_machine,
+        status,
         "fleet_processes",
         lambda *_: {(1, "agent"): ProcessState(7, RUNS, 20.0, 1.0, 50_000_000)},
     )
-    here = this_machine.this_machine(FLEET, FILE, tmp_path)
+    here = status.this_machine(FLEET, FILE, tmp_path)
     row = process_row(FLEET, 1, "agent", here, None, 0.0)
     assert (row["unit"], row["host"], row["cpu_percent"], row["memory_mb"]) == ("active", None, 5.0, 50.0)
     assert (row["up_s"], row["says"], row["restarts"]) == (20.0, "running", None)
     gone = process_row(FLEET, 2, "agent", here, None, 0.0)
     assert (gone["unit"], gone["says"], gone["up_s"]) == ("none", "ending (SIGTERM)", None)
-    elsewhere = this_machine.this_machine(FLEET, FILE, None)
+    elsewhere = status.this_machine(FLEET, FILE, None)
     assert process_row(FLEET, 2, "plant", elsewhere, None, 0.0)["says"] is None
 
 
@@ -45,7 +44,7 @@ def test_logs_are_those_of_the_run_that_has_started_the_processes() -> None:
 
 
 def test_a_run_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(this_machine, "state_of", {4711: RUNS, 4712: PAUSED}.__getitem__)
+    monkeypatch.setattr(status, "state_of", {4711: RUNS, 4712: PAUSED}.__getitem__)
     assert run_words(RUN) == "run by process 4711 since 10:00:00: /runs/pair"
     assert run_words(DRIVE) == (
         "driven by process 4712 since 10:00:05, PAUSED: `fg` there or `kill -CONT 4712` lets it go on: "

@@ -22,12 +22,12 @@ from handfast.deploy.commands.hosts.up import _say
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.preconditions import CAME_UP, GOES_DOWN
 from handfast.deploy.hosts.arrivals import Arrivals
-from handfast.deploy.hosts.artifacts.bundle import Bundle
-from handfast.deploy.hosts.artifacts.systemd_units import roles, unit_name
+from handfast.deploy.hosts.bundle import Bundle
 from handfast.deploy.hosts.certificates import AnotherAuthorityError
 from handfast.deploy.hosts.connection import Clock, HostError
+from handfast.deploy.hosts.jobs import DONE, FAILED, Row
+from handfast.deploy.hosts.systemd_units import roles, unit_name
 from handfast.deploy.hosts.up import BringUp, Timing
-from handfast.deploy.hosts.view import DONE, FAILED, Row
 from handfast.deploy.inventory.hosts import hosts_of
 from handfast.deploy.inventory.own_orders import OwnOrders
 from tests.unit.deploy.hosts.two_hosts import ROOT, WHEELS, fleet

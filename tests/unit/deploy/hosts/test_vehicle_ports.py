@@ -12,7 +12,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.hosts import remote_vehicle
 from handfast.deploy.hosts.connection import HostError
-from handfast.deploy.hosts.vehicle_ports import port_warnings
+from handfast.deploy.hosts.setup import port_warnings
 from tests.unit.deploy.hosts.test_preflight import tables
 
 

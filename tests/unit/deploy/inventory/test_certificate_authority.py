@@ -12,8 +12,12 @@ from handfast.agent.security.certificates import pem_of_key
 from handfast.agent.security.credentials import CredentialsError, load, make_request, store
 from handfast.agent.security.identity import of_operator, of_robot, of_router
 from handfast.deploy.inventory import certificate_authority as module
-from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError
-from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import (
+    AUTHORITY_DAYS,
+    CERTIFICATE_DAYS,
+    Authority,
+    AuthorityError,
+)
 from handfast.deploy.inventory.operator_credentials import KEYS, OPERATOR, keys_folder, operator_name
 from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from handfast.agent.security.certificates import DAY_S, issued_from_pem, new_key
 from handfast.agent.security.identity import of_robot
-from handfast.deploy.inventory.certificate_builder import (
+from handfast.deploy.inventory.certificate_authority import (
     AUTHORITY_DAYS,
     BACK_S,
     CERTIFICATE_DAYS,

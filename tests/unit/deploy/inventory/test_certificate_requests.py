@@ -12,7 +12,7 @@ from cryptography.x509.oid import NameOID
 
 from handfast.agent.security.certificates import new_key, new_request
 from handfast.agent.security.identity import of_operator
-from handfast.deploy.inventory.certificate_requests import REQUEST_BYTES_MAX, RequestError, examined
+from handfast.deploy.inventory.operator_credentials import REQUEST_BYTES_MAX, RequestError, examined
 from tests.trusted import FLEET
 
 ANNA = of_operator(FLEET, "anna")

@@ -10,7 +10,7 @@ import pytest
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.identity import of_operator, of_robot
-from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS
 from handfast.deploy.inventory.expiry import WARN_DAYS, Expiry, operators, robots_by_index, summary, warnings
 from handfast.deploy.inventory.operator_credentials import KEYS, OPERATOR
 from tests.trusted import NOW_S, authority, credentials

@@ -13,10 +13,16 @@ from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.loading import to_dict
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.inventory import fleets_up, registry, ssh
-from handfast.deploy.inventory.known_fleets import NotRunningError, SeveralError, find, known, meant
+from handfast.deploy.inventory import hosts, registry
+from handfast.deploy.inventory.known_fleets import (
+    NotRunningError,
+    SeveralError,
+    find,
+    known,
+    meant,
+    running_fleet,
+)
 from handfast.deploy.inventory.registry import Registration
-from handfast.deploy.inventory.running import running_fleet
 from tests.unit.agent.fleet.test_hosts import fleet as two
 
 _ports = count(9000, 10)
@@ -50,7 +56,7 @@ def a_file(path: Path, fleet: Fleet) -> Path:
 
 def brought_up(path: Path, fleet: Fleet) -> Path:
     """The file of a fleet that is noted to be up."""
-    fleets_up.note_up(fleet, a_file(path, fleet), [host.name for host in fleet.hosts], complete=True)
+    registry.note_up(fleet, a_file(path, fleet), [host.name for host in fleet.hosts], complete=True)
     return path
 
 
@@ -167,7 +173,7 @@ def test_hosts_of_a_running_fleet_have_their_addresses(
     def address_of(host: HostSection) -> str:
         return {"left": "10.0.0.7"}[host.name]
 
-    monkeypatch.setattr(ssh, "address_of", address_of)
+    monkeypatch.setattr(hosts, "address_of", address_of)
     path = tmp_path / "fleet.toml"
     text = (FLEETS / "pair.toml").read_text().replace("[[robot]]", '[[robot]]\nhost = "left"')
     path.write_text(text + "[host.left]\n")

@@ -9,8 +9,13 @@ import pytest
 from handfast.agent.security.credentials import CredentialsError, load
 from handfast.agent.security.identity import Identity, of_operator, of_robot
 from handfast.deploy.inventory.certificate_authority import Authority
-from handfast.deploy.inventory.certificate_requests import RequestError
-from handfast.deploy.inventory.operator_requests import SIGNED_BYTES_MAX, install, request, requested_by
+from handfast.deploy.inventory.operator_credentials import (
+    SIGNED_BYTES_MAX,
+    RequestError,
+    install,
+    request,
+    requested_by,
+)
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 ANNA = of_operator(FLEET, "anna")

@@ -19,7 +19,7 @@ from handfast.agent.messages.types import Faults, Heartbeat, Mission, Resume, St
 from handfast.agent.recorder.recorder import About, Received
 from handfast.agent.security.identity import of_operator
 from handfast.agent.security.sealed_order import Opener, Sealer
-from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from handfast.deploy.merging import believed
 from handfast.deploy.merging.believed import TEXTS_MAX, FleetFiles, HeldFaults, Order, orders_given
 from handfast.deploy.merging.robot_files import MergeError, RobotFile

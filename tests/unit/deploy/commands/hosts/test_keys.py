@@ -14,9 +14,9 @@ from handfast.agent.security.credentials import RENEW_DAYS, authority_of, load
 from handfast.agent.security.identity import of_operator, of_robot, of_router
 from handfast.deploy.commands.hosts import keys as keys_command
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
-from handfast.deploy.inventory.fleets_up import note_down, note_up
+from handfast.deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS
 from handfast.deploy.inventory.operator_credentials import keys_folder
+from handfast.deploy.inventory.registry import note_down, note_up
 from tests.unit.deploy.hosts.two_hosts import fleet
 
 Run = Callable[..., list[str]]

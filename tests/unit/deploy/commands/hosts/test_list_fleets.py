@@ -12,7 +12,7 @@ import tomli_w
 from handfast.agent.fleet.loading import to_dict
 from handfast.deploy.cli import main
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.inventory import fleets_up, registry
+from handfast.deploy.inventory import registry
 from handfast.deploy.inventory.registry import Registration
 from tests.unit.agent.fleet.test_hosts import fleet
 from tests.unit.deploy.test_cli import without_the_operators_packages
@@ -38,7 +38,7 @@ def a_run(tmp_path: Path, name: str, *, attached: bool = False) -> Registration:
 def up(tmp_path: Path, *names: str, complete: bool = True) -> Path:
     file = tmp_path / "two.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet())))
-    fleets_up.note_up(fleet(), file, names, complete=complete)
+    registry.note_up(fleet(), file, names, complete=complete)
     return file
 
 

@@ -24,7 +24,7 @@ from handfast.deploy.commands.hosts.logs import Line, Reader
 from handfast.deploy.console.arguments import InputError, no_changes
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.inventory import registry, ssh
+from handfast.deploy.inventory import hosts, registry
 from handfast.deploy.inventory.registry import Registration
 from tests.unit.agent.fleet.test_hosts import HOSTS, ROUTERS, fleet
 
@@ -178,7 +178,7 @@ def test_whoever_follows_hears_of_a_host_that_cannot_be_read(
 
     monkeypatch.setattr(Reader, "next", look)
     assert logs(tools, "exec sleep 60", "exit 255", follow=True) == 130
-    assert told == [f"handfast: right: {ssh.LOST}\n"]
+    assert told == [f"handfast: right: {hosts.LOST}\n"]
 
 
 @pytest.mark.parametrize("lines", [None, 5])

@@ -20,7 +20,7 @@ from handfast.deploy.commands.hosts import down, status
 from handfast.deploy.console.arguments import no_changes
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.inventory import registry
-from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from handfast.deploy.inventory.registry import Registration
 from handfast.deploy.processes.table import PAUSED, RUNS, ProcessState
 from tests.trusted import authority, credentials
@@ -124,7 +124,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (1, "plant"): ProcessState(8, PAUSED, 20.0, 1.0, 50_000_000),
         (2, "agent"): ProcessState(9, RUNS, 20.0, 1.0, 50_000_000),
     }
-    monkeypatch.setattr("handfast.deploy.hosts.this_machine.fleet_processes", lambda fleet, file: table)
+    monkeypatch.setattr("handfast.deploy.hosts.status.fleet_processes", lambda fleet, file: table)
     return folder
 
 
@@ -166,7 +166,7 @@ def test_a_fleet_that_runs_here_has_no_hosts(run: Path, capsys: pytest.CaptureFi
 def test_where_nothing_is_there_it_says_so(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("handfast.deploy.hosts.this_machine.fleet_processes", lambda fleet, file: {})
+    monkeypatch.setattr("handfast.deploy.hosts.status.fleet_processes", lambda fleet, file: {})
     assert main(["status", str(run / "fleet.toml")]) == 1
     assert capsys.readouterr().err.startswith("handfast: fleet pair-here does not answer: none of its 4 ")
     assert main(["status", "pair-here"]) == 2

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handfast.deploy.commands.hosts.up import Notes
-from handfast.deploy.inventory.fleets_up import fleets_up
+from handfast.deploy.inventory.registry import fleets_up
 from tests.unit.agent.fleet.test_hosts import fleet
 
 

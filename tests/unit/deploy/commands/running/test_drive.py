@@ -17,7 +17,7 @@ from handfast.agent.transport.bus import BusError
 from handfast.deploy.cli import main
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from handfast.deploy.inventory.operator_credentials import KEYS
 from handfast.deploy.processes.ports import Reservation
 from handfast.deploy.recording.mcap_reader import read_run

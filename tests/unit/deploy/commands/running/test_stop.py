@@ -14,8 +14,8 @@ from handfast.agent.transport.bus import BusError
 from handfast.deploy.cli import main
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.inventory import registry
+from handfast.deploy.inventory.known_fleets import NoAnswerError
 from handfast.deploy.inventory.registry import Registration
-from handfast.deploy.inventory.running import NoAnswerError
 from handfast.deploy.session.stop import Way
 
 

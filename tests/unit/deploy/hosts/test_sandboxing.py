@@ -9,11 +9,9 @@ import pytest
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.messages.key_expressions import ROLES
-from handfast.deploy.hosts import remote_program
-from handfast.deploy.hosts.artifacts import sandboxing
-from handfast.deploy.hosts.artifacts.sandboxing import Needs, filters, namespaces
-from handfast.deploy.hosts.artifacts.systemd_units import Places, roles, unit
-from tests.unit.deploy.hosts.artifacts.test_systemd_units import fleet, settings
+from handfast.deploy.hosts import remote_program, systemd_units
+from handfast.deploy.hosts.systemd_units import Needs, Places, filters, namespaces, roles, unit
+from tests.unit.deploy.hosts.test_systemd_units import fleet, settings
 
 SECURED = Places("/r/versions/1", "/r/two.toml", "/r/keys", "/r/recordings", "/r/state", "/r/orders")
 SIMULATED, BRIDGED = 1, 2
@@ -84,7 +82,7 @@ def test_paths_are_written_so_that_systemd_reads_them_as_they_are(folder: str, s
 def test_what_need_not_work_can_be_taken_out_and_the_rest_stays() -> None:
     text = unit(fleet(), SIMULATED, "agent", SECURED)
     found = remote_program.TRIED.sub(remote_program.LEFT_OUT, text)
-    tried = set(namespaces(Needs())) - {sandboxing.TRIED, sandboxing.UNTIL}
+    tried = set(namespaces(Needs())) - {systemd_units.TRIED, systemd_units.UNTIL}
     assert not {line.partition("=")[0] for line in tried} & settings(found).keys()
     assert set(filters(Needs())) <= set(found.splitlines())
     assert len(text.splitlines()) - len(found.splitlines()) == len(tried) + 1

@@ -14,15 +14,8 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.security.credentials import Files
 from handfast.agent.security.identity import of_robot
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.hosts.artifacts import systemd_units
-from handfast.deploy.hosts.artifacts.systemd_units import (
-    Places,
-    arguments,
-    roles,
-    router_units,
-    unit,
-    unit_name,
-)
+from handfast.deploy.hosts import systemd_units
+from handfast.deploy.hosts.systemd_units import Places, arguments, roles, router_units, unit, unit_name
 from tests.unit.agent.fleet.test_hosts import FLEET, HOSTS, LEFT, RIGHT, ROUTERS
 
 PLACES = Places(
