@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import cos, hypot, pi, sin
-from random import Random
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -13,7 +10,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control import hand
 from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.formation.geometry import resolve
 from handfast.agent.formation.points import Floats
 from handfast.deploy.simulate.simulation import Simulation
 from handfast.plant.backend import VirtualBody
@@ -75,28 +72,3 @@ def driven(fleet: Fleet) -> Driven:
     pairs = np.hypot(*np.moveaxis(points[:, first] - points[:, second], -1, 0))
     states = [f"{agent.robot}: {agent.state.value} {agent.reason}" for agent in simulation.agents]
     return Driven(at, np.abs(lengths - geometry.distances), pairs, simulation.reasons + states)
-
-
-def started_anywhere(fleet: Fleet, seed: int, gap_m: float) -> Fleet:
-    """The fleet from other starts, resolved: axles uniform over the rectangle of its own, headings too.
-
-    Axles and hands of any two are at least `gap_m` apart.
-    """
-    draws = Random(seed)
-    reach = fleet.robots[0].hand_offset_m
-    xs, ys = [robot.x_m for robot in fleet.robots], [robot.y_m for robot in fleet.robots]
-    taken: list[tuple[float, float, float, float, float]] = []
-    while len(taken) < len(fleet.robots):
-        x, y = draws.uniform(min(xs), max(xs)), draws.uniform(min(ys), max(ys))
-        heading = draws.uniform(-pi, pi)
-        hx, hy = x + reach * cos(heading), y + reach * sin(heading)
-        if all(
-            hypot(x - other[0], y - other[1]) >= gap_m and hypot(hx - other[3], hy - other[4]) >= gap_m
-            for other in taken
-        ):
-            taken.append((x, y, heading, hx, hy))
-    robots = tuple(
-        replace(robot, x_m=x, y_m=y, heading_rad=heading)
-        for robot, (x, y, heading, _, _) in zip(fleet.robots, taken, strict=True)
-    )
-    return resolved(replace(fleet, robots=robots))

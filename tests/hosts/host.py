@@ -294,15 +294,6 @@ class Host:
         self.run("rm /etc/ssh/host_key* && ssh-keygen -q -t ed25519 -N '' -f /etc/ssh/host_key", check=True)
         self.start_sshd()
 
-    def fill_disk(self) -> None:
-        """Fills its home to the last byte; needs `home_mb`."""
-        assert self.setup.home_mb is not None, "only a home of limited size can be filled"
-        self.run("cat /dev/zero >.filling 2>/dev/null")
-
-    def free_disk(self) -> None:
-        """Takes that away again."""
-        self.run("rm -f .filling", check=True)
-
 
 def _add_user(etc: Path) -> None:
     """Gives a host's /etc the ordinary user, who may open serial ports and read the journal."""

@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from itertools import count
 from math import inf, nan
 from pathlib import Path
 from types import TracebackType
@@ -43,10 +42,9 @@ from handfast.agent.messages.types import (
     Wrench,
 )
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.transport.bus import Bus, BusError, Router
-from tests.process.fleet_harness import ROUTED, Robots, make_fleet, placed, robots
+from handfast.agent.transport.bus import Bus
+from tests.process.fleet_harness import Robots, make_fleet, placed, robots
 from tests.process.harness import (
-    ADDRESS,
     BUSY,
     BUSY_SETTINGS,
     Command,
@@ -105,31 +103,12 @@ def test_same_robot_twice(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_port_that_a_router_cannot_have() -> None:
-    """It has no base_port to change."""
-    with socket.create_server((ADDRESS, 0)) as taken:
-        endpoint = f"tcp/{ADDRESS}:{taken.getsockname()[1]}"
-        with pytest.raises(BusError, match="the port is in use") as raised:
-            Router([endpoint], [], None)
-    assert str(raised.value).endswith("stop what uses it, or let the router listen on another")
-
-
-@pytest.mark.long
 def test_address_of_another_machine(tmp_path: Path) -> None:
     with placed(make_fleet(), address="192.0.2.1") as fleet:  # TEST-NET-1: nobody has it
         says = agent_fails(tmp_path, fleet, 1)
     assert says.startswith(
         f"robot 1 agent: cannot listen on {fleet.agent_endpoint(1)}: this machine does not"
     )
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("role", key_expressions.ROLES)
-def test_robot_that_the_fleet_lacks(tmp_path: Path, role: str) -> None:
-    with placed(make_fleet()) as fleet:
-        says = agent_fails(tmp_path, fleet, 7, role, status=2)
-    assert says.startswith(f"robot 7 {role}: ")
-    assert "7" in says.partition(": ")[2]
 
 
 # ---------------------------------------------------------------------- order of start
@@ -152,36 +131,6 @@ def test_any_order_of_start(tmp_path: Path, order: Sequence[tuple[int, str]]) ->
         for robot, role in order:
             assert all_robots.end(robot, role) == 0
         no_trouble_in_logs(all_robots.folder)
-
-
-@pytest.mark.long
-def test_neighbour_whose_clock_is_a_little_ahead(tmp_path: Path) -> None:
-    """Half a period is less than clocks of two machines differ: such a neighbour is heard like any other."""
-    with placed(make_fleet()) as fleet, Robots(fleet, tmp_path / "r") as all_robots:
-        all_robots.start(1, "plant")
-        all_robots.start(1, "agent")
-        key = key_expressions.hand(all_robots.name, 2)
-        all_robots.bus.declare(key)
-        all_robots.wait_until_alive(1, "agent")
-        sequence = count()
-        # Agents tick half a period after the whole ones. Said a quarter before, stamped a quarter after
-        # it: each message is there in time for a tick that it claims to come after.
-        period_ns = fleet.period_ns
-        due_ns = time.time_ns() // period_ns * period_ns + period_ns // 4
-
-        def speak() -> bool:
-            nonlocal due_ns
-            if time.time_ns() >= due_ns:
-                stamp_ns = due_ns + period_ns // 2
-                due_ns += period_ns
-                state = HandState(2, next(sequence), stamp_ns, False, 0, 0.5, 0.0, *[0.0] * 9, (), ())
-                all_robots.bus.publish(key, encode(state))
-            return all_robots.counters(1).get("received", 0) >= 50
-
-        all_robots.wait(speak, "robot 1 hears robot 2")
-        counters = all_robots.counters(1)
-        assert counters["lost"] <= 0.02 * counters["received"], counters
-        assert all_robots.states()[1] == "ready"
 
 
 # ---------------------------------------------------------------------- garbage
@@ -427,29 +376,6 @@ def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
     assert metrics["messages"]["rejected"] == sum(reasons.values())
     assert all("ended the drive in state" not in reason for reason in metrics["verdict"]["reasons"]), metrics
     assert_same_way(folder, tmp_path / "simulated" / "out", SECONDS, AGREE_M)
-
-
-@pytest.mark.long
-def test_garbage_through_a_router_has_no_robot_stop(tmp_path: Path) -> None:
-    """An operator hears it, too, as nothing is secured: what robots say of themselves counts."""
-    with robots(tmp_path / "r", "pair", ROUTED, *BUSY_SETTINGS) as all_robots:
-        all_robots.drive()
-        with Hostile(all_robots.fleet, 20_080_705, pause_s=0.02) as hostile:
-            throw_at_ports(all_robots.fleet, 20_080_705)
-            until = time.monotonic() + 3.0
-            all_robots.wait(lambda: hostile.sent > 1500 and time.monotonic() > until, "garbage")
-        ended_ns = time.time_ns()
-        for robot in all_robots.fleet.ids:
-            _, status = all_robots.first(
-                ended_ns, Status, robot, lambda m: m.state == "running", f"robot {robot} drives"
-            )
-            assert dict(status.counters)["rejected"] > 500
-            said = all_robots.log(robot, "agent").read_text().splitlines()
-            states = [line.partition("agent: ")[2].partition(":")[0] for line in said]
-            driven = states[states.index("running") :]
-            assert {"running"} <= set(driven) <= {"running", "degraded"}, said
-        assert not all_robots.died(), all_robots.told()
-        no_trouble_in_logs(all_robots.folder)
 
 
 @pytest.mark.long

@@ -25,7 +25,7 @@ from handfast.deploy.inventory.known_fleets import find
 from handfast.deploy.inventory.registry import running
 from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
-from tests.process.harness import Command, environment, last_lines, no_trouble_in_logs
+from tests.process.harness import Command, environment, no_trouble_in_logs
 from tests.process.small_fleets import triangle
 
 SLOW = ("fleet.rate_hz=25", "control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5")
@@ -187,34 +187,6 @@ def test_a_fleet_that_another_drive_has_taken_is_left_alone(tmp_path: Path) -> N
         fleet.wait_until_all("running")
         assert not fleet.orders(Stop)
         complete(folder)
-
-
-@pytest.mark.long
-def test_robots_that_read_another_file_are_not_driven(tmp_path: Path) -> None:
-    with fleet_up(tmp_path) as fleet:
-        other = tmp_path / "other.toml"
-        text = fleet.fleet_file.read_text()
-        assert "duration_s = 60" in text
-        other.write_text(text.replace("duration_s = 60", "duration_s = 61"))
-        arguments = ("drive", str(other), "--out", "out", "--no-report")
-        with Command(tmp_path / "one", *arguments) as command:
-            assert end(fleet, command) == 1, command.told()
-        assert re.search(
-            r"Not driven: this is not the fleet file that is read by robots? \d.*\.\n", command.out
-        ), command.told()
-        assert fleet.versions() == {0}
-        fleet.wait_until_all("stopped")  # whatever has been begun is ended
-
-        # Once they have driven by their own file, they say so before anything is begun.
-        status, out = fleet.told_by("drive", "--resume", "--detach", "--duration", "3")
-        assert status == 0, (out, last_lines(fleet.log(1, "agent")))
-        with Command(tmp_path / "two", *arguments) as command:
-            assert end(fleet, command) == 2, command.told()
-        assert re.match(
-            rf"handfast: not started: the robots of {fleet.name} read another fleet file: its digest is \w+, "
-            r"this one's is \w+; give the file that they read",
-            command.err,
-        )
 
 
 def test_robots_stop_at_a_ctrl_c_that_also_ends_who_reads(tmp_path: Path) -> None:

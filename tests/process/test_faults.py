@@ -10,13 +10,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.sequence_numbers import FIRST_ROUND
 from handfast.agent.messages.types import LOST
-from handfast.agent.supervision.state_machine import DRIVING_NAMES
 from handfast.deploy.recording.link_table import LinkTable
 from handfast.deploy.recording.links import Link
 from handfast.deploy.recording.mcap_reader import read_run
@@ -24,14 +22,12 @@ from handfast.deploy.recording.recording import Recording
 from tests.process.harness import (
     Command,
     measured,
-    no_trouble_in_logs,
     running,
     wait_for,
 )
 from tests.process.same_way import assert_same_way
 
 NETWORK = ("--set", "network.base_port=21120")
-LINE = ("--set", 'trajectory.kind="line"', "--set", "trajectory.velocity_mps=[0.2,0.1]")
 LEASE_S = 2.0
 HEALED = re.compile(r"all running$", re.MULTILINE)
 """Ends a line of a fleet's state when all is well and no fault is live."""
@@ -121,101 +117,6 @@ def test_ctrl_c_heals(tmp_path: Path) -> None:
         assert status == 0
         assert out.endswith("live: none\n")
         assert run.wait() == 0, run.told()
-
-
-@pytest.mark.long
-def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
-    with running_pair(tmp_path / "run", 60) as (name, run):
-        for arguments, says in (
-            (
-                ("set", name, "--link", "1->9", "--loss", "1%"),
-                '--link: "1->9": there is no robot 9; ids are 1, 2',
-            ),
-            (("set", "nobody", "--loss", "1%"), 'no fleet of the name "nobody" runs here; running here: '),
-            (("apply", name, "no-such.toml"), "no-such.toml: cannot read the scenario: no such file"),
-        ):
-            with Command(tmp_path / arguments[1] / arguments[0], "faults", *arguments) as command:
-                assert command.wait() == 2
-                assert command.err.startswith(f"handfast: {says}"), command.err
-                assert name in command.err or arguments[1] == name
-        run.process.send_signal(signal.SIGINT)
-        assert run.wait() == 130, run.told()
-
-
-@pytest.mark.long
-def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
-    """Not a failure of the run: the agent drives on, a new plant has its body where it was."""
-    rules = rule(
-        tmp_path,
-        '[[faults.rule]]\nname = "crash"\nrobot = 2\nkill = "agent"\nat = 1.5\nfor = 1\n'
-        '[[faults.rule]]\nname = "again"\nrobot = 1\nrestart = "plant"\nat = 7\n',
-    )
-    with running_pair(tmp_path / "run", 15, *LINE, *rules) as (_, run):
-        run.wait_for_line(r"(?m)^1\.[5-9] s: rule 'crash' killed robot 2's agent$")
-        assert "-m handfast.plant " in run.children()[run.child(1, "plant")]
-        run.wait_for_line(r"(?m)^2\.[5-9] s: rule 'crash' started robot 2's agent$")
-        run.wait_for_line(r"(?m)^7\.\d s: rule 'again' started robot 1's plant$")
-        assert "--pose=" in run.children()[run.child(1, "plant")]
-        assert run.wait() == 0, run.told()
-    folder = tmp_path / "run" / "out"
-    no_trouble_in_logs(folder)
-    recording = read_run(folder)
-    done = [(each.robot, each.role, each.what, each.rule) for each in recording.events]
-    assert done == [
-        (2, "agent", "kill", "crash"),
-        (2, "agent", "start", "crash"),
-        (1, "plant", "kill", "again"),
-        (1, "plant", "start", "again"),
-    ]
-    assert recording.epoch_ns is not None
-    done_s = np.array([(each.time_ns - recording.epoch_ns) / NS_PER_S for each in recording.events])
-    late_s = done_s - (1.5, 2.5, 7.0, 7.0)
-    # That it is at once where the machine has time is tested by `test_what_rules_do_is_done_at_its_time`.
-    assert measured("the first before its time, s", -float(np.min(late_s))) <= 0.0
-    assert measured("the last after its time, s", float(np.max(late_s))) < 0.5
-    agent = recording.robots[2].status
-    assert "running" in {state for t, state in zip(agent.t, agent.states, strict=True) if t > done_s[1]}
-    body = recording.robots[1].plant
-    before = int(np.searchsorted(body.t, done_s[2], side="right")) - 1
-    assert abs(body["speed"][before]) > 0.1
-    x, y, heading, speed = (
-        np.diff(body[name][before : before + 2])[0] for name in ("x", "y", "heading", "speed")
-    )
-    assert measured("the body moved while it was away, m", float(np.hypot(x, y))) < 0.01
-    assert abs(heading) < 0.01
-    assert abs(speed) > 0.1, "it stood when it came back"
-
-
-@pytest.mark.long
-def test_a_paused_plant_brakes_nobody_else_and_drives_on(tmp_path: Path) -> None:
-    """Also one that is paused at the end: it is let go so that it can end."""
-    rules = rule(
-        tmp_path,
-        '[[faults.rule]]\nname = "ice"\nrobot = 2\npause = "plant"\nat = 1\nfor = 1\n'
-        '[[faults.rule]]\nname = "end"\nrobot = 1\npause = "agent"\nat = 4\nfor = 100\n',
-    )
-    with running_pair(tmp_path / "run", 5, *rules) as (_, run):
-        run.wait_for_line(r"(?m)^2\.0 s: rule 'ice' continued robot 2's plant$")
-        run.wait_for_line(r"(?m)^4\.0 s: rule 'end' paused robot 1's agent$")
-        run.wait()
-        assert "ended" not in run.err
-        assert "was killed" not in run.err
-        assert "ended at" not in run.out
-    recording = read_run(tmp_path / "run" / "out")
-    assert [(each.role, each.what) for each in recording.events] == [
-        ("plant", "stop"),
-        ("plant", "continue"),
-        ("agent", "stop"),
-    ]
-    plant = recording.robots[2].plant
-    away = (plant.t > 1.1) & (plant.t < 1.9)
-    assert not away.any()
-    agent = recording.robots[2].status
-    states = [state for t, state in zip(agent.t, agent.states, strict=True) if 1.0 < t < 3.5]
-    assert "fault" in states
-    assert states[-1] in DRIVING_NAMES
-    # The one that was let go at the end has ended in order, as its log says.
-    assert "ending (SIGTERM)" in (tmp_path / "run" / "out" / "logs" / "robot-1-agent.log").read_text()
 
 
 def test_a_killed_run_leaves_no_frozen_process(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ import pytest
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Ask, Beacon, Mission, Status
-from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for
@@ -92,76 +91,6 @@ def test_orders_to_a_run_from_other_processes(tmp_path: Path) -> None:
     assert states == dict.fromkeys((2, 3, 4, 5, 6, 7), "running") | {1: "standby"}
 
 
-REMOVALS = """
-[[order]]
-at = 3
-kind = "remove"
-robots = [7]
-[[order]]
-at = 6
-kind = "remove"
-robots = [7]
-[[faults.rule]]
-robot = 7
-kill = "agent"
-at = 2
-[[faults.rule]]
-robot = 7
-kill = "plant"
-at = 2
-"""
-
-
-@pytest.mark.long
-def test_a_run_removes_whom_it_has_not_heard_for_long(tmp_path: Path) -> None:
-    """The robot dies at 2 s: at 3 s it has only just been heard."""
-    text = (FLEETS / "reserve.toml").read_text() + REMOVALS
-    (tmp_path / "removals.toml").write_text(text)
-    name = f"fleet.name=t-{secrets.token_hex(4)}"
-    arguments = ("run", "removals.toml", "--set", name, "--duration", "10", "--out", "out", "--no-report")
-    with Command(tmp_path, *arguments, *NETWORK, *BUSY) as run:
-        assert run.wait(90.0) == 1, run.told()
-    folder = tmp_path / "out"
-    metrics = json.loads((folder / "metrics.json").read_text())
-    assert (
-        "The order at 3 s (remove) was not given: the agent of robot 7 is heard: only the body of one whose "
-        "agent is silent can be removed."
-    ) in metrics["verdict"]["reasons"]
-    assert not any("at 6 s" in reason for reason in metrics["verdict"]["reasons"])
-    recording = read_run(folder)
-    assert [row.robot for row in recording.missions[-1].removed] == [7]
-    last = {robot: data.status.mission_versions[-1] for robot, data in recording.robots.items()}
-    assert [robot for robot in last if last[robot] == recording.missions[-1].version] == [1, 2, 3, 4, 5, 6]
-
-
-@pytest.mark.long
-def test_no_coordinator(tmp_path: Path) -> None:
-    """Who gave an order is killed as soon as one agent has it: all get it, and so does who starts again."""
-    with all_ready(triangle(), tmp_path / "r") as fleet:
-        fleet.drive()
-        assert fleet.mission is not None
-        before = fleet.mission.version
-        with fleet.command("change join", "--robot", "4", "--edges", "2,3") as commander:
-            fleet.wait(lambda: max(fleet.versions()) > before, "an agent has the order")
-            commander.process.kill()
-            commander.process.wait()
-        mission = agreed(fleet)
-        assert mission.note == "robot 4 joins (edges to 2 and 3)"
-        everybody = fleet.fleet.ids
-        fleet.wait(lambda: fleet.states() == dict.fromkeys(everybody, "running"), "all four drive")
-
-        fleet.signal(2, "agent", signal.SIGKILL)
-        fleet.processes[2, "agent"].wait()
-        started_ns = time.time_ns()
-        fleet.start(2, "agent")
-        _, status = fleet.first(started_ns, Status, 2, lambda m: m.state == "running", "the new agent drives")
-        assert status.mission_version == mission.version
-        fleet.wait(lambda: fleet.states() == dict.fromkeys(everybody, "running"), "all four drive on")
-        assert agreed(fleet) == mission
-        assert not fleet.died()
-        no_trouble_in_logs(fleet.folder)
-
-
 def test_a_body_is_removed_and_comes_back(tmp_path: Path) -> None:
     """Only once its robot is silent; nobody tells of it any more, and it is there again when it is heard."""
     with all_ready(triangle(), tmp_path / "r") as fleet:
@@ -201,37 +130,6 @@ def test_a_body_is_removed_and_comes_back(tmp_path: Path) -> None:
         assert mission.note == "robot 3 joins (edges to 1 and 2)"
         assert mission.removed == ()
         fleet.wait(lambda: fleet.states()[3] == "running", "it drives again")
-        assert not fleet.died()
-        no_trouble_in_logs(fleet.folder)
-
-
-@pytest.mark.long
-def test_two_operators_at_once(tmp_path: Path) -> None:
-    """One order holds, the same everywhere; who is told that all know has given that one, or was first."""
-    with all_ready(triangle(), tmp_path / "r") as fleet:
-        fleet.drive()
-        scales = ("1.3", "1.6")
-        with (
-            fleet.command("change reshape", "--scale", scales[0]) as one,
-            fleet.command("change reshape", "--scale", scales[1]) as other,
-        ):
-            both = one, other
-            fleet.wait(lambda: all(each.process.poll() is not None for each in both), "both end")
-            ends = [each.wait() for each in both]
-            texts = [each.out for each in both]
-        assert set(ends) <= {0, 1}
-        assert 0 in ends, texts
-        for status, text in zip(ends, texts, strict=True):
-            if status:
-                assert text.startswith(("not done: another", "overtaken by another")), text
-            else:
-                assert "\n4 of 4 acknowledged\n" in text, text
-        mission = agreed(fleet)
-        given = [f"reshaped: {scale} times the size" for scale in scales]
-        assert mission.note in given, mission
-        if 1 in ends:
-            assert mission.note == given[ends.index(0)]
-        fleet.wait_until_all("running")
         assert not fleet.died()
         no_trouble_in_logs(fleet.folder)
 

@@ -157,22 +157,6 @@ BEFORE = {
 """What is said of each mistake before anything drives."""
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("law", BEFORE)
-def test_check_says_each_mistake_in_one_line(law: str, tmp_path: Path) -> None:
-    said = handfast(tmp_path, f"check delta --set control.law=mistakes:{law}", status=2)
-    assert said.count(BEFORE[law]) == 1, said
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("law", ["Constructor", "Signature"])
-@pytest.mark.parametrize("command", ["simulate", "run", "sweep --over control.kd=1,2"])
-def test_with_a_mistake_nothing_is_driven(command: str, law: str, tmp_path: Path) -> None:
-    said = handfast(tmp_path, f"{command} delta --set control.law=mistakes:{law}", status=2)
-    assert said.count(BEFORE[law]) == 1, said
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(("command", "status"), [("simulate", 2), ("run", 1)])
 def test_unchecked_it_is_the_same_line(command: str, status: int, tmp_path: Path) -> None:
     arguments = f"{command} delta --no-check --no-report --duration 2s --out out --set control.law=mistakes:"

@@ -136,22 +136,6 @@ BEFORE = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("plant", BEFORE)
-def test_check_says_each_mistake_in_one_line(plant: str, tmp_path: Path) -> None:
-    said = handfast(tmp_path, f"check delta --set robot_defaults.plant=mistakes:{plant}", status=2)
-    assert said.count(BEFORE[plant]) == 1, said
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("plant", ["Constructor", "Signature", "Section"])
-@pytest.mark.parametrize("command", ["simulate", "run", "sweep --over control.kd=1,2"])
-def test_with_a_mistake_nothing_is_driven(command: str, plant: str, tmp_path: Path) -> None:
-    said = handfast(tmp_path, f"{command} delta --set robot.2.plant=mistakes:{plant}", status=2)
-    assert said.count(BEFORE[plant]) == 1, said
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(("command", "status"), [("simulate", 2), ("run", 1)])
 def test_unchecked_the_start_is_refused_with_the_same_line(command: str, status: int, tmp_path: Path) -> None:
     arguments = f"{command} pair --no-check --no-report --duration 2s --out out --set robot.1.plant=mistakes:"
@@ -180,14 +164,3 @@ def test_one_that_fails_in_mid_drive_is_one_fault_of_one_robot(
     assert reason.startswith("Robot 1 ended the drive in state fault")
     for log in (tmp_path / "out").rglob("robot-1-plant.log"):
         assert log.read_text().count(line) == 1, "said once"
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("command", ["simulate", "run"])
-def test_one_that_is_too_slow_is_named(command: str, tmp_path: Path) -> None:
-    arguments = f"{command} pair --set robot.1.plant=mistakes:Slow --no-report --duration 4s --out out"
-    said = handfast(tmp_path, arguments, *NETWORK, status=1)
-    assert (
-        said.count("robot 1: plant mistakes:Slow: step is too slow: 20 times more than the period of 20 ms")
-        == 1
-    )

@@ -9,16 +9,14 @@ import signal
 import time
 from pathlib import Path
 
-import pytest
-
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.types import HandState, PlantState, Status, Wrench
 from handfast.agent.supervision.stop_latch import AWAITED
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
 from tests.ground_station import Operator
-from tests.process.harness import ADDRESS, measured, no_trouble_in_logs
-from tests.process.rover_harness import Rovers, cold, rovers
+from tests.process.harness import measured, no_trouble_in_logs
+from tests.process.rover_harness import Rovers, rovers
 
 BRAKES_S = 0.3
 SLACK_S = 1.0
@@ -114,110 +112,3 @@ def test_a_bridge_that_is_killed_and_started_again(tmp_path: Path) -> None:
         operator.set_mode("GUIDED")
         waits_for_leave(fleet, operator)
         all_well(fleet)
-
-
-@pytest.mark.long
-def test_a_vehicle_that_is_switched_off_and_on(tmp_path: Path) -> None:
-    with rovers(tmp_path / "r") as (fleet, *_), fleet.operator(2) as operator:
-        operator.connect()
-        drive(fleet)
-        killed_ns = fleet.signal(2, "vehicle", signal.SIGKILL)
-        fleet.processes[2, "vehicle"].wait()
-        took, _ = fleet.first(killed_ns, Status, 2, lambda m: m.state == "fault", "its agent says fault")
-        measured("seconds to fault", took)
-        assert took < 1.0 + SLACK_S
-        fleet.vehicles[2] = cold(fleet.vehicles[2], 3.0)
-        fleet.start(2, "vehicle")
-        fleet.wait_with(
-            operator,
-            lambda: getattr(fleet.plant(2), "note", "").endswith("mode MANUAL, not GUIDED"),
-            "it is up again",
-        )
-        operator.connect()
-        up_ns = time.time_ns()
-        operator.set_mode("GUIDED")
-        operator.arm()
-        waits_for_leave(fleet, operator)
-        fleet.wait_with(operator, lambda: time.time_ns() > up_ns + NS_PER_S // 2, "time passes")
-        assert not any(m.driving for _, m in fleet.since(up_ns, PlantState, 2))
-        fleet.resume()
-        drives_again(fleet, operator)
-        fleet.wait_with(
-            operator,
-            lambda: fleet.checks(2).get("ATTITUDE", ("", ""))[0] == "ok",
-            "its streams were asked for again",
-        )
-        all_well(fleet)
-
-
-@pytest.mark.long
-def test_a_link_that_is_cut_and_comes_back(tmp_path: Path) -> None:
-    with rovers(tmp_path / "r", routed=2) as (fleet, router, _), fleet.operator(2) as operator:
-        assert router is not None
-        operator.connect()
-        drive(fleet)
-        cut_ns = time.time_ns()
-        router.cut = True
-        took, _ = fleet.first(cut_ns, PlantState, 2, lambda m: not m.healthy, "the bridge misses it")
-        measured("seconds to unhealthy", took)
-        assert took < 0.7 + SLACK_S
-        stops_by_itself(fleet, operator)
-        fleet.wait_with(operator, lambda: time.time_ns() > cut_ns + 5 * NS_PER_S, "five seconds pass")
-        assert "no heartbeat of the vehicle for" in fleet.plant(2).note
-        router.cut = False
-        waits_for_leave(fleet, operator)
-        assert fleet.plant(2).note.startswith("nothing was heard of it for ")
-        back_ns = time.time_ns()
-        fleet.resume(2)
-        drives_again(fleet, operator)
-        measured("seconds until it drives on", (time.time_ns() - back_ns) / NS_PER_S)
-        all_well(fleet)
-
-
-@pytest.mark.long
-def test_a_jammed_gps_is_told_and_ends_in_the_operators_hands(tmp_path: Path) -> None:
-    with rovers(tmp_path / "r") as (fleet, *_), fleet.operator(2) as operator:
-        operator.connect()
-        drive(fleet)
-        jammed_ns = time.time_ns()
-        operator.set_parameter("SIM_GPS1_JAM", 1.0)
-        took, state = fleet.first(jammed_ns, PlantState, 2, lambda m: not m.healthy, "the bridge knows")
-        measured("seconds to unhealthy", took)
-        assert "GPS" in state.note
-        fleet.wait_with(operator, lambda: operator.mode == constants.MODE_HOLD, "HOLD")
-        assert 10.0 < measured("seconds to HOLD", (time.time_ns() - jammed_ns) / NS_PER_S) < 13.0 + SLACK_S
-        fleet.wait(lambda: "EKF failsafe" in fleet.log(2, "plant").read_text(), "its words are in the log")
-        assert not fleet.plant(2).obeying
-        assert fleet.states()[2] == "fault"
-        all_well(fleet)
-
-
-@pytest.mark.long
-def test_second_bridges_on_one_vehicle(tmp_path: Path) -> None:
-    """They report why they do nothing, whichever way they come to the vehicle; the first drives on."""
-    with rovers(tmp_path / "r", routed=1, others=1) as (fleet, _, (port,)):
-        drive(fleet)
-        seconds = {
-            "same": ([], "another handfast program uses it (process "),
-            "other": (
-                ["--set", f'robot.1.mavlink.connection="udpin:{ADDRESS}:{port}"'],
-                "another program speaks as system 1, component 191",
-            ),
-        }
-        base_port = fleet.fleet.network.base_port
-        for number, (name, (settings, _)) in enumerate(seconds.items(), 1):
-            # On the bus of a fleet of its own, else it would not come as far as the vehicle.
-            own = ["--set", f"network.base_port={base_port + 1024 * number}", "--set", f'fleet.name="{name}"']
-            arguments = ("--fleet", str(fleet.fleet_file), "--robot", "1", *own, *settings)
-            fleet.run(1, name, "handfast.bridges.mavlink", *arguments)
-        for name, (_, says) in seconds.items():
-            log = fleet.log(1, name)
-            fleet.wait(lambda log=log, says=says: says in log.read_text(), f"the second bridge says {says!r}")
-        since_ns = time.time_ns()
-        fleet.wait(lambda: time.time_ns() > since_ns + 2 * NS_PER_S, "time passes")
-        assert all(m.driving for _, m in fleet.since(since_ns, PlantState, 1)), fleet.told()
-        assert fleet.states() == {1: "running", 2: "running"}
-        for name in seconds:
-            assert "it obeys" not in fleet.log(1, name).read_text()
-            assert fleet.end(1, name) == 0
-        all_well(fleet, *((1, name) for name in seconds))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
 
 import pytest
 
@@ -17,9 +15,9 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.batch import unpacked
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import PlantState, Status, Stop
-from handfast.agent.transport.bus import Bus, Router
+from handfast.agent.transport.bus import Bus
 from tests.process import attackers
-from tests.process.fleet_harness import ROUTED, ROUTER, Robots, all_ready, placed
+from tests.process.fleet_harness import ROUTED, ROUTER, Robots, all_ready
 from tests.process.harness import (
     BUSY,
     Command,
@@ -39,7 +37,6 @@ LARGE = ("avoidance.beacon_interval_max_s=1.6",)
 """The override that has beacons come in batches."""
 DRIVE_S = 16.0
 HELD_S = 2.0
-STOOD_S = 2.5
 
 
 def routed(folder: Path, fleet: str, *more: str) -> Command:
@@ -87,24 +84,6 @@ def test_a_router_that_dies_ends_the_run_and_no_robot_drives_on(tmp_path: Path) 
         assert command.wait() == 1, command.told()
         wait_for(lambda: not any(map(running, pids)), "the end of all processes")
     assert re.search(r"Router 1 ended at \d+\.\d s \(killed by SIGKILL\)\.", command.err), command.told()
-
-
-@pytest.mark.long
-def test_a_router_that_stands_is_what_is_named(tmp_path: Path) -> None:
-    """Not its robots' machine, whose processes run on time, nor agents that would be gone."""
-    rate = "--set", "fleet.rate_hz=10"
-    with routed(tmp_path, "pair", "--set", ROUTED, *rate, "--duration", "8") as command:
-        command.wait_until_driving()
-        (router,) = routers_of(command)
-        os.kill(router, signal.SIGSTOP)
-        time.sleep(STOOD_S)
-        os.kill(router, signal.SIGCONT)
-        command.wait()
-    verdict = json.loads((tmp_path / "out" / "metrics.json").read_text())["verdict"]
-    (said,) = [text for text in verdict["warnings"] if "sent no pose" in text]
-    assert "(nothing came from the machine)" in said, verdict
-    log = (tmp_path / "out" / "logs" / "robot-1-agent.log").read_text()
-    assert "hears none of its neighbours: robot 2 (no connection to its agent)" in log, log
 
 
 def dies(fleet: Robots, number: int) -> None:
@@ -172,35 +151,6 @@ def test_one_router_is_enough_and_without_any_all_hold(tmp_path: Path, more: tup
             _, state = next(fleet.since(from_ns, PlantState, robot))
             assert abs(state.speed) < 0.3, "it begins to drive again from where it stood"
         no_trouble_in_logs(fleet.folder)
-
-
-class Unbatched(Robots):
-    """Behind routers that make no batches, as a zenohd."""
-
-    def start_router(self, number: int) -> None:
-        endpoint = self.fleet.router_endpoints[number - 1]
-        self.routers.enter_context(Router([endpoint], self.fleet.router_endpoints[: number - 1], None))
-
-    def __enter__(self) -> Self:
-        self.routers = ExitStack()
-        super().__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        super().__exit__(*error)
-        self.routers.close()
-
-
-@pytest.mark.long
-def test_behind_a_router_that_makes_no_batches_each_robot_is_heard_by_itself(tmp_path: Path) -> None:
-    slow = ("control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5", "fleet.rate_hz=25")
-    with placed(triangle(ROUTED, *slow, *LARGE)) as here, Unbatched(here, tmp_path / "r") as fleet:
-        fleet.start_all()
-        fleet.wait_until_all("ready")
-        fleet.drive()
-        drive_on(fleet)
-        assert not batched(fleet, 1.0)
-        drive_on(fleet)
 
 
 def test_nobody_gets_in_through_a_router_and_a_stop_gets_through(tmp_path: Path) -> None:

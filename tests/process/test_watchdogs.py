@@ -15,7 +15,7 @@ import pytest
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.types import PlantState, Status
 from handfast.agent.transport.bus import LEASE_MS
-from tests.process.fleet_harness import Robots, make_fleet, placed, robots
+from tests.process.fleet_harness import Robots, robots
 from tests.process.harness import measured, no_trouble_in_logs
 
 AT_REST = 0.02
@@ -143,24 +143,3 @@ def test_plant_frozen_its_agent_says_fault_and_all_goes_on(tmp_path: Path, froze
         all_robots.wait_until_all("running")
         moves(all_robots, 2)
         assert_only(all_robots)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("ahead_s", [3600.0, -3600.0, 0.135])
-def test_a_clock_that_is_set_between_the_starts_of_a_plant_and_its_agent(tmp_path: Path, ahead_s: float):
-    """Robot 1's plant starts while the clock shows another time than when all others do."""
-    with placed(make_fleet()) as here, Robots(here, tmp_path / "r") as fleet:
-        for robot in fleet.fleet.ids[1:]:
-            fleet.start(robot, "plant")
-            fleet.start(robot, "agent")
-        fleet.start(1, "agent")
-        arguments = ("--fleet", str(fleet.fleet_file), "--robot", "1")
-        fleet.run(1, "plant", "tests.process.set_clock", str(ahead_s), "plant", *arguments)
-        fleet.wait_until_all("ready")
-        fleet.drive()
-        fleet.wait_until_all("running")
-        then_ns = fleet.heard[-1].at_ns
-        _, state = fleet.first(then_ns, PlantState, 1, lambda m: m.driving, "robot 1's plant drives")
-        assert abs(state.time_ns - then_ns) < 10 * NS_PER_S  # on the bus there is one clock, its agent's
-        assert state.time_ns % fleet.fleet.period_ns == 0
-        no_trouble_in_logs(fleet.folder)
