@@ -7,12 +7,11 @@ import math
 from typing import Any
 
 import tomli_w
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from handfast.agent.common.settings import Entry, entries
 from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet, FleetError
 
 
@@ -158,25 +157,6 @@ def test_a_fleet_survives_being_written(table: dict[str, Any]) -> None:
     assert digest(again) == digest(fleet)
 
 
-@given(fleets())
-def test_every_link_is_that_of_the_defaults_but_for_what_its_robot_says(table: dict[str, Any]) -> None:
-    fleet = parse_fleet(tomli_w.dumps(table), source="drawn")
-    shared = table["robot_defaults"].get("mavlink")
-    for row, robot in zip(table["robot"], fleet.robots, strict=True):
-        own = row.get("mavlink")
-        given_at_all = None if shared is None and own is None else {**(shared or {}), **(own or {})}
-        held = None if given_at_all is None else MavlinkSection(**given_at_all)
-        assert dict(robot.sections).get("mavlink") == held
-
-
-@given(fleets())
-def test_neighbours_are_mutual(table: dict[str, Any]) -> None:
-    fleet = parse_fleet(tomli_w.dumps(table), source="drawn")
-    for robot in fleet.ids:
-        assert all(robot in fleet.neighbours(other) for other in fleet.neighbours(robot))
-    assert sum(fleet.degree(robot) for robot in fleet.ids) == 2 * len(fleet.formation.edges)
-
-
 # --- and everything else ----------------------------------------------------------------------
 
 
@@ -193,13 +173,6 @@ def test_a_fleet_with_one_value_replaced(table: dict[str, Any], data: st.DataObj
 @given(st.dictionaries(keys, values, max_size=6))
 def test_any_table(table: dict[str, Any]) -> None:
     assert answer(tomli_w.dumps(table)) is None or table
-
-
-@given(st.text())
-@example("\ufeff[fleet]")
-@example('a."\\u0000" = 1')
-def test_any_text(text: str) -> None:
-    assert answer(text) is None
 
 
 MINIMAL = """
@@ -219,16 +192,6 @@ robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1, y_m = 0 }]
 )
 def test_any_override(path: list[str], value: str) -> None:
     answer(MINIMAL, f"{'.'.join(path)}={value}")
-
-
-@given(st.text(st.characters()))
-def test_any_override_at_all(text: str) -> None:
-    answer(MINIMAL, text)
-
-
-@given(st.text(st.characters()))
-def test_any_law(name: str) -> None:
-    answer(MINIMAL, law=name)
 
 
 @given(st.data())

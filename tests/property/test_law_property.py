@@ -137,14 +137,6 @@ def test_sweeps_converge_to_the_joint_multipliers(g: Group):
     assert sweeper.norm(lam) <= 1.01e-8 * start + 1e-9 * (1.0 + np.abs(sweeper.exact).max())
 
 
-@given(groups(clearance_min=1e-3))
-@settings(max_examples=60)
-def test_joint_multipliers_are_the_sweeps_fixed_point(g: Group):
-    sweeper = Sweeper(g)
-    again = sweeper.sweep(sweeper.exact)
-    assert sweeper.norm(again) <= 1e-9 * sweeper.norm(np.zeros_like(again)) + 1e-12
-
-
 @given(groups(clearance_min=0.1))
 @settings(max_examples=60)
 def test_both_ends_of_an_edge_sweep_to_the_same_multiplier(g: Group):
@@ -273,13 +265,6 @@ def test_energy_of_the_papers_law_can_grow():
     assert falls < 0.0
 
 
-@given(groups(robots_max=2))
-@settings(max_examples=60)
-def test_energy_of_the_papers_law_falls_for_one_pair_25(g: Group):
-    lost, size = energy_rate(g, fleet_law.multipliers_edge(g.edges()))
-    assert abs(lost - dissipation(g)) <= 1e-9 * size + 1e-12
-
-
 STIFF = Group(
     r=np.array([[-0.17026135, -0.03438272], [1.55956616, 1.84928499]]),
     error=np.array([[-2.74563837, 0.15086145], [0.76637632, -1.67188433]]),
@@ -398,17 +383,6 @@ def potential(error: Vector, place: Vector, c1: float, c2: float, most: float) -
 NEAR = st.floats(-20.0, 20.0)
 
 
-@given(NEAR, NEAR, st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), st.floats(0.3, 3.0))
-def test_the_pull_is_the_gradient_of_its_potential(x: float, y: float, place: Vector, most: float):
-    acting = law.acting_error((x, y), place, C1, C2, most)
-    step = 1e-5
-    for axis, (dx, dy) in enumerate(((step, 0.0), (0.0, step))):
-        ahead, behind = (
-            potential((x + sign * dx, y + sign * dy), place, C1, C2, most) for sign in (1.0, -1.0)
-        )
-        assert (ahead - behind) / (2.0 * step) == pytest.approx(C1 * acting[axis], abs=1e-4)
-
-
 def round_trip(pull: Callable[[Vector], Vector], radius: float = 10.0) -> float:
     """Work that a pull does, per unit mass, on a robot that is led once round its place."""
     angles = (np.arange(4000) + 0.5) / 4000 * 2.0 * np.pi
@@ -481,18 +455,6 @@ def test_the_firm_pull_is_the_gradient_of_a_function_of_that_potential(
         assert (ahead - behind) / (2.0 * step) == pytest.approx(pull[axis], rel=1e-4, abs=1e-3)
 
 
-@given(ERROR, ERROR, PLACE, GAIN, GAIN, SPEED, GAIN)
-def test_the_firm_pull_is_between_those_of_n1_and_of_21(
-    x: float, y: float, place: Vector, c1: float, c2: float, most: float, rate: float
-):
-    """So what `check` promises by the energy at the start, with c1/2 |e|^2 in it, holds."""
-    acting = law.acting_error((x, y), place, c1, c2, most)
-    firm = law.firmness((x, y), acting, place, c1, c2, most, rate)
-    away = hypot(x, y)
-    assert 1.0 <= firm <= max(1.0, min(law.FIRMEST, rate / c2))
-    assert firm * hypot(*acting) <= max(away, hypot(*acting)) * (1.0 + 1e-9)
-
-
 @given(groups(clearance_min=0.1), st.floats(0.2, 3.0), st.floats(0.1, 6.0))
 def test_the_energy_falls_at_least_as_fast_where_the_pull_is_firm(g: Group, most: float, rate: float):
     """(J3) with Psi(U) of (N2) in the place of c1/2 |e|^2: damping is firm by as much."""
@@ -542,15 +504,6 @@ def test_the_energy_falls_far_from_the_places_too(g: Group, most: float):
 # ---------------------------------------------------------------------- one-sided and fading constraints
 
 
-@given(groups(clearance_min=1e-3), st.floats(-1e6, 1e6))
-def test_a_one_sided_constraint_never_pulls(g: Group, value: float):
-    e = g.edges()
-    for lam in (fleet_law.repelling(np.full(len(g.d), value)), fleet_law.repelling(joint(g))):
-        force = fleet_law.forces(e, lam)
-        assert (force[0] * e.normal[0] + force[1] * e.normal[1] >= 0.0).all()
-    assert law.repelling(value) == max(value, 0.0)
-
-
 @given(groups(clearance_min=0.1), st.floats(0.01, 1.0))
 def test_an_edge_of_less_weight_is_the_same_constraint_scaled(g: Group, weight: float):
     """With k2 = 0 the constraint force would not know the weight: a constraint holds or does not."""
@@ -560,20 +513,6 @@ def test_an_edge_of_less_weight_is_the_same_constraint_scaled(g: Group, weight: 
     assert less == pytest.approx(full, rel=1e-9, abs=1e-12)
     assert faded.normal is e.normal
     assert faded.distance is e.distance
-
-
-@given(groups(clearance_min=0.1))
-def test_an_edge_without_weight_has_no_force(g: Group):
-    faded = fleet_law.weighted(g.edges(), 0.0)
-    assert not np.any(fleet_law.forces(faded, fleet_law.multipliers_edge(faded)))
-
-
-@given(groups(clearance_min=0.1))
-def test_an_obstacle_is_a_constraint_of_one_body(g: Group):
-    """A A^T = phi'^2 where only one end can move: the same demand, met by one robot alone."""
-    e = g.edges()
-    lam = fleet_law.multipliers_edge(e, 1)
-    assert lam * (e.softness + e.slope**2) == pytest.approx(e.demand, rel=1e-9)
 
 
 @given(groups(clearance_min=0.05), st.integers(0, 2**32 - 1))

@@ -114,14 +114,3 @@ def test_any_flipped_bits_in_real_traffic(seed: int, places: list[int]) -> None:
     for start in range(0, len(traffic), 17):  # as a serial port gives it
         link.receive(T0 + start, bytes(traffic[start : start + 17]))
         looked_at(link, T0 + start)
-
-
-def test_a_stream_cut_in_odd_places_does_not_grow() -> None:
-    link = joined()
-    message = framed(dialect.MAVLink_attitude_message, struct.pack("<Iffffff", 1, 0, 0, 0, 0, 0, 1))
-    traffic = message * 3000
-    start = len(message) - 1  # never ends with a message
-    link.receive(T0, traffic[:start])
-    for begin in range(start, len(traffic) - len(message), len(message)):
-        link.receive(T0 + begin, traffic[begin : begin + len(message)])
-        assert len(link._codec.buf) < 3 * 4096

@@ -12,7 +12,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
-from handfast.agent.messages.types import Message, Mission, Status, Wrench
+from handfast.agent.messages.types import Message, Mission, Wrench
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.simulate.simulation import Simulation
 
@@ -99,12 +99,6 @@ def rule(what: str) -> str:
     return f"[[faults.rule]]\n{what}"
 
 
-def test_a_fleet_that_is_ready_drives_from_its_epoch_on():
-    run = Run().until(0.1)
-    assert [run.states()[robot] for robot in (1, 2, 3, 4)] == [State.RUNNING] * 4
-    assert all(run.drives(robot, -0.02, 0.02) for robot in (1, 2, 3, 4))
-
-
 def test_a_robot_of_the_reserve_joins_and_comes_to_its_place():
     run = Run(order(3.0, JOIN)).until(2.9)
     assert run.states()[7] is State.STANDBY
@@ -145,16 +139,6 @@ def test_who_was_dead_when_a_stop_came_does_not_drive_when_it_is_back(role: str)
     assert run.states() == stopped
     assert not run.drives(3, 6.0, 12.0)
     assert not any(plant.condition[0] == "driving" for plant in run.simulation.plants)
-
-
-def test_who_was_dead_when_leave_was_given_drives_when_it_is_back():
-    away = rule("robot = 3\nat = 6\nfor = 4\nkill = 'both'")
-    orders = order(4.0, "kind = 'stop'"), order(8.0, "kind = 'resume'")
-    run = Run(*orders, away).until(14.0)
-    states = run.states()
-    assert states.pop(7) is State.STANDBY
-    assert set(states.values()) == {State.RUNNING}
-    assert all(plant.condition[0] == "driving" for plant in run.simulation.plants if plant.robot != 7)
 
 
 def test_a_stop_is_over_only_with_the_leave_though_the_formation_changes_meanwhile():
@@ -203,14 +187,6 @@ def test_without_its_operator_a_fleet_with_a_dead_mans_switch_holds_and_goes_on(
     run.simulation.attended = True
     run.until(8.0)
     assert [run.states()[robot] for robot in (1, 2, 3, 4)] == [State.RUNNING] * 4
-
-
-def test_all_tell_the_same_versions_in_the_end():
-    orders = order(3.0, JOIN), order(6.0, "kind = 'stop'"), order(8.0, "kind = 'resume'")
-    run = Run(*orders, order(10.0, "kind = 'leave'\nrobot = 2")).until(15.0)
-    last = {message.robot: message for _, _, message in run.log if isinstance(message, Status)}
-    assert len({(status.mission_version, status.order_version) for status in last.values()}) == 1
-    assert next(iter(last.values())).order_version > 0
 
 
 def test_who_starts_again_is_told_of_a_robot_that_nobody_hears_any_more():

@@ -15,7 +15,7 @@ from handfast.agent.formation.geometry import resolve, resolved
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
-from handfast.agent.messages.types import Event, Mission, PlantState, Status
+from handfast.agent.messages.types import Event, PlantState, Status
 from handfast.agent.node import INBOX_SIZE
 from handfast.agent.supervision.state_machine import DRIVING, State
 from handfast.deploy.console.data_files import FLEETS
@@ -151,26 +151,6 @@ def test_a_fleet_that_is_ready_at_once_drives_as_soon_as_it_has_listened():
     assert min(state.time_ns for state in run.states(1) if state.driving) == run.simulation.epoch_ns
 
 
-def test_a_fleet_that_need_not_listen_for_who_is_near_drives_after_ten_periods():
-    run = Run(overrides=("avoidance.enabled=false",)).until(0.1)
-    assert run.simulation.epoch_ns == 10 * PERIOD_NS
-    assert min(state.time_ns for state in run.states(1) if state.driving) == run.simulation.epoch_ns
-
-
-def test_a_fleet_whose_messages_are_late_drives_half_a_second_after_it_is_ready():
-    run = Run("delay = '1s'").until(0.0)
-    epoch_ns = run.simulation.epoch_ns
-    assert epoch_ns % PERIOD_NS == 0
-    assert 1.5 < epoch_ns / NS_PER_S < 1.6
-    (said_ms,) = missions(run)
-    assert -500 <= said_ms < -480
-    run.until(0.5)
-    assert run.agent_states() == {State.DEGRADED}
-    assert "robot 2 (does not follow)" in run.agent(1).reason  # it did not yet, a second ago
-    run.until(3.0)
-    assert run.agent_states() == {State.RUNNING}
-
-
 @pytest.mark.slow
 def test_a_fleet_that_is_never_ready_is_told_of_with_the_robots_and_why():
     run = Run("link = '2->1'\nloss = '100%'").drive()
@@ -180,34 +160,6 @@ def test_a_fleet_that_is_never_ready_is_told_of_with_the_robots_and_why():
     ]
     assert missions(run) == []
     assert run.simulation.now_ns == 60 * NS_PER_S
-
-
-def test_progress_is_told_that_the_fleet_has_not_begun_and_can_end_the_wait():
-    told: list[float] = []
-
-    def progress(time_s: float) -> bool:
-        told.append(time_s)
-        return len(told) < 4
-
-    run = Run("link = '2->1'\nloss = '100%'")
-    run.simulation.run(progress)
-    assert told == [-0.5] * 4
-    assert run.simulation.now_ns == NS_PER_S
-    assert run.simulation.reasons == []
-
-
-def test_progress_of_a_late_start_counts_up_to_the_end():
-    told: list[float] = []
-
-    def progress(time_s: float) -> bool:
-        told.append(time_s)
-        return True
-
-    run = Run("delay = '600ms'", duration_s=1.3)
-    run.simulation.run(progress)
-    assert np.all(np.diff(told) >= 0.0)
-    assert np.diff(told).max() <= 0.25 + 1e-9
-    assert (told[0], told[-1]) == (-0.5, 1.3)
 
 
 # ---------------------------------------------------------------------- clocks
@@ -275,32 +227,6 @@ def test_a_clock_that_drifts_parts_from_the_epoch_on():
 # ---------------------------------------------------------------------- ticks and sensors
 
 
-def test_five_ms_of_jitter_change_nothing_that_matters():
-    run = Run("tick_jitter = 0.005").drive()
-    run.expect_safe(2e-3)
-    for times in ([s.time_ns for s in run.states(1)], hand_stamps(run)):
-        late = np.array(times) % (PERIOD_NS // 2)
-        assert late.min() >= 0
-        assert 4_500_000 < late.max() < 5_000_000
-        assert np.all(np.diff(times) > 0)
-
-
-def hand_stamps(run: Run) -> list[int]:
-    return [decode(payload)[2] for _, key, payload in run.log if key == key_expressions.hand("delta", 1)]
-
-
-def test_numbers_count_rounds_although_ticks_are_late():
-    run = Run("tick_jitter = 0.015").until(2.0)
-    for key in (
-        key_expressions.hand("delta", 1),
-        key_expressions.wrench("delta", 1),
-        key_expressions.plant_state("delta", 1),
-    ):
-        numbers = [decode(payload)[1] for _, k, payload in run.log if k == key]
-        steps = np.diff(numbers)
-        assert (np.delete(steps, np.argmax(steps)) == 1).all()  # one leap, when the mission comes
-
-
 def test_jitter_beyond_the_period_skips_ticks():
     run = Run("robot = 2\ntick_jitter = 0.1").drive()
     run.expect_safe(0.01)
@@ -350,19 +276,6 @@ def test_an_agent_that_starts_again_drives_again():
         if time_ms > 0
     ]
     assert told == []  # nobody had to
-
-
-@pytest.mark.slow
-def test_a_body_whose_plant_starts_again_stands_where_it_was():
-    run = Run("robot = 3\nat = 5\nrestart = 'plant'", duration_s=18.0).until(4.99)
-    moving = run.states(3)[-1]
-    assert abs(moving.speed) > 0.05
-    run.until(5.0)
-    again = run.states(3)[-1]
-    assert again.time_ns == moving.time_ns + PERIOD_NS
-    assert again[3:8] == (*moving[3:6], 0.0, 0.0)
-    run.until(18.0)
-    run.expect_safe(0.01)
 
 
 def test_what_is_killed_says_and_hears_nothing_until_it_starts_again():
@@ -427,17 +340,3 @@ def test_a_body_whose_plant_is_paused_brakes_by_itself():
     assert abs(after.speed) < 1e-3
     run.until(20.0)
     run.expect_safe(0.01)
-
-
-def test_what_is_paused_to_the_end_is_let_go_on_to_stop():
-    run = Run("robot = 3\nat = 2\nfor = 60\npause = 'both'", duration_s=4.0).drive()
-    assert run.agent_states() == {State.STOPPED}
-    assert [event[3] for event in run.events()] == ["stop", "stop"]
-
-
-def test_the_mission_is_said_again_as_it_was():
-    run = Run("robot = 2\nat = 1\nrestart = 'agent'").until(2.0)
-    said = [decode(payload) for _, key, payload in run.log if key == key_expressions.mission("delta")]
-    assert all(isinstance(message, Mission) for message in said)
-    assert len(said) > 1
-    assert {message._replace(time_ns=0) for message in said} == {said[0]._replace(time_ns=0)}

@@ -14,7 +14,6 @@ from handfast.agent.core import Agent
 from handfast.agent.fleet.loading import digest, load_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve, resolved, start_hands
-from handfast.agent.formation.points import edge_lengths
 from handfast.agent.formation.trajectory import make_trajectory
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
@@ -65,34 +64,6 @@ def test_random_starts_stay_apart_and_settle(law: str, first: int):
     assert np.median(times) < SETTLING_MEDIAN_S, times
 
 
-def test_two_random_starts_stay_apart_and_settle():
-    for name in ("joint", "edge"):
-        settling_times(name, range(1000, 1001))
-
-
-def test_random_starts_are_what_they_say():
-    base = bundled("delta")
-    fleet = random_fleet(base, 7)
-    assert fleet == random_fleet(base, 7)
-    assert fleet != random_fleet(base, 8)
-    assert not fleet.formation.assign
-    assert resolved(fleet) == fleet
-    hands = np.array(
-        [
-            (r.x_m + r.hand_offset_m * np.cos(r.heading_rad), r.y_m + r.hand_offset_m * np.sin(r.heading_rad))
-            for r in fleet.robots
-        ]
-    )
-    assert np.abs(hands - (-0.16, 0.63)).max() <= 2.0
-    gaps = np.hypot(*(hands[:, None] - hands[None, :]).transpose(2, 0, 1))
-    assert gaps[~np.eye(6, dtype=bool)].min() >= 0.3 - 1e-12
-    geometry = resolve(fleet)
-    assert edge_lengths(geometry.offsets, geometry.edges) == pytest.approx(geometry.distances, rel=1e-4)
-    assert all(robot.heading_rad for robot in fleet.robots)
-    with pytest.raises(ValueError, match="no room for 6 robots"):
-        random_fleet(base, 0, side_m=0.3)
-
-
 # ---------------------------------------------------------------------- what a fleet may be
 
 
@@ -110,12 +81,6 @@ def test_delta_settles_on_its_line(law: str):
 def test_the_penalty_law_is_safe_whatever_shape_it_comes_to():
     """Its edges compete with navigation: from here it settles after 20 to 55 s or not at all, by the rate."""
     assert drive(resolved(bundled("delta", law="penalty"))).distances().min() > 0.22
-
-
-def test_pair_settles_and_stays():
-    trace = drive(resolved(bundled("pair")))
-    assert trace.settling_time() is not None
-    assert abs(trace.distances()[-1, 0] - 1.0) < 0.01
 
 
 @pytest.mark.slow
@@ -247,12 +212,6 @@ def test_two_runs_give_the_same_bytes(noise_m: float):
     assert runs[0] == runs[1]
 
 
-def test_another_seed_gives_other_noise():
-    overrides = ("fleet.duration_s=1", "robot_defaults.position_noise_m=0.01")
-    one, two = (drive(resolved(bundled("delta", *overrides, f"fleet.seed={seed}"))) for seed in (1, 2))
-    assert not np.array_equal(one.hands, two.hands)
-
-
 # ---------------------------------------------------------------------- robots that fall silent
 
 
@@ -324,25 +283,6 @@ def test_neighbours_of_a_frozen_agent_drive_on_without_it_and_take_it_back():
 
 
 @pytest.mark.patches
-def test_neighbours_of_a_frozen_agent_hold_where_the_fleet_file_says_so():
-    simulation, _ = running_delta("supervision.silence=hold")
-    agent = Freezable(agent_of(simulation, 1))
-    agent.frozen = True
-    simulation.run_until(at(simulation, 6.1))
-    for robot in (2, 3):
-        assert agent_of(simulation, robot).state is State.HOLDING
-        assert agent_of(simulation, robot).reason.startswith(
-            "hears not all of its neighbours: robot 1 (1.1 s)"
-        )
-    for robot in (4, 5, 6):  # they hear all, and do not rely on those that hold
-        assert agent_of(simulation, robot).state is State.DEGRADED
-        assert "(does not follow)" in agent_of(simulation, robot).reason
-    agent.frozen = False
-    simulation.run_until(at(simulation, 8.0))
-    assert {agent.state for agent in simulation.agents} == {State.RUNNING}
-
-
-@pytest.mark.patches
 def test_frozen_plant_is_a_fault_of_its_agent_and_a_thaw_ends_it():
     simulation, _ = running_delta()
     plant = Freezable(plant_of(simulation, 4))
@@ -363,19 +303,6 @@ def test_mission_ends_with_every_robot_stopped_at_rest():
     assert simulation.stopped
     assert {agent.reason for agent in simulation.agents} == {"the mission is over"}
     assert simulation.now_ns < at(simulation, 4.0) + NS_PER_S
-
-
-def test_progress_can_end_a_run():
-    told: list[float] = []
-
-    def progress(time: float) -> bool:
-        told.append(time)
-        return time < 1.0
-
-    simulation = Simulation(resolved(bundled("pair")))
-    simulation.run(progress)
-    assert 1.0 <= told[-1] < 1.25
-    assert simulation.now_ns == pytest.approx(at(simulation, told[-1]))
 
 
 @pytest.mark.slow

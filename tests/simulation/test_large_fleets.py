@@ -85,17 +85,6 @@ def test_that_agents_tick_rarely_before_a_mission_makes_no_link_late() -> None:
 
 
 @pytest.mark.slow
-def test_nobody_is_told_of_as_silent_who_says_when_he_speaks_next() -> None:
-    """Nor is it worked out where he might stand: of many robots that is the most that a tick costs."""
-    fleet = resolved(parse_fleet(lattice(), source="here"))
-    simulation, told = driven(fleet)
-    assert len(told) > 3 * len(fleet.ids)
-    assert max(beacon.next_ms for beacon in told) > 1000
-    assert not any(beacon.silent for beacon in told)
-    assert not any(agent._peers.whereabouts._beliefs for agent in simulation.agents)
-
-
-@pytest.mark.slow
 def test_nor_while_they_drive_and_they_do_not_speak_all_at_once() -> None:
     """They begin together, in the tick of the mission, and pass each other on their ways to their places."""
     fleet = resolved(parse_fleet(driving_lattice("many", 60, duration_s=5.0), source="here"))
@@ -140,33 +129,3 @@ def test_that_all_take_an_order_is_no_news_and_one_answer_of_many_is_enough() ->
     assert 1 <= of(asked_s, asked_s + 0.9, Mission) <= robots // 4
     assert 1 <= of(7.0, 8.0, Resume) <= robots // 4
     assert of(7.0, 8.0, Beacon) <= 2 * robots
-
-
-@pytest.mark.slow
-def test_nor_is_a_mission_and_each_knows_by_which_others_go_who_have_heard_it_last() -> None:
-    """100 of them once said at once that they had it, each to 99 others, while each worked its plan out. Who
-    loses one goes by what that told last, so each goes by what itself told last, not by what it has."""
-    orders = '\n[[order]]\nat = 4.0\nkind = "reshape"\nscale = 1.1\n'
-    fleet = resolved(parse_fleet(driving_lattice("many", 60, duration_s=9.0) + orders, source="here"))
-    told: dict[int, tuple[int, int]] = {}
-    said: list[int] = []
-
-    def sink(time_ns: int, key: str, payload: bytes) -> None:
-        if key.endswith("/beacon"):
-            beacon = decode(payload)
-            assert isinstance(beacon, Beacon)
-            told[beacon.robot] = beacon.mission_version, beacon.mission_tag
-            said.append(time_ns)
-
-    simulation = Simulation(fleet, sink)
-    assert simulation.start(9 * NS_PER_S)
-    simulation.run_until(simulation.epoch_ns + 4 * NS_PER_S + NS_PER_S // 2)
-    given_ns = simulation.epoch_ns + 4 * NS_PER_S
-    assert sum(given_ns <= at < given_ns + NS_PER_S // 2 for at in said) < len(fleet.ids) // 2
-    late = 0
-    for agent in simulation.agents:
-        assert agent._controller.right_of_way._mark == told[agent.robot]
-        late += agent._controller.mark != told[agent.robot]
-    assert late > len(fleet.ids) // 2, "most have not told it by now"
-    simulation.run_until(given_ns + fleet.beacon_rounds_max * fleet.period_ns + NS_PER_S)
-    assert {agent._controller.mark for agent in simulation.agents} == set(told.values())

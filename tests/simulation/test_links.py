@@ -119,14 +119,6 @@ def test_two_halves_cut_off_for_five_seconds_keep_back_and_come_together_again()
     assert back_after(times, distances) < 25.0
 
 
-@pytest.mark.slow
-def test_two_halves_that_hold_while_they_are_cut_off_come_together_again():
-    times, distances = driven(delta("fleet.duration_s=28", "supervision.silence=hold", scenario="partition"))
-    assert distances.min() > SAFE_M
-    assert 17.0 < back_after(times, distances) < 24.0
-    assert np.abs(distances[(times > 15.0) & (times < 17.0)] - 1.0).max() > 0.1  # it was felt
-
-
 def test_a_flapping_link_is_not_even_felt():
     times, distances = driven(delta("fleet.duration_s=24", scenario="flapping"))
     assert distances.min() > SAFE_M
@@ -165,10 +157,3 @@ def test_random_starts_on_bad_links_with_jitter_and_noise(seed: int):
     found = RunResult(judged.drive(fleet)).metrics  # between poses: with jitter each robot has its own times
     assert found["min_distance_m"]["any"] > SAFE_M
     assert found["settling_time_s"] < 15.0
-
-
-@pytest.mark.slow
-def test_without_prediction_the_same_links_leave_an_error():
-    fleet = random_fleet(delta("fleet.duration_s=30", *MIDDLING, "control.prediction=false"), 1)
-    _, distances = driven(fleet)
-    assert np.abs(distances[-1] - 1.0).max() > 0.01

@@ -149,12 +149,6 @@ def test_robots_of_different_steps_keep_apart_and_settle(rules: tuple[str, ...])
     run.expect_safe(0.05 if rules else 0.005)
 
 
-def test_steps_that_change_all_the_time_do_no_harm() -> None:
-    run = Run()
-    run.until(20.0, forced(run, lambda robot, time_s: (robot * int(2.0 * time_s) ** 2) % (TOP + 1)))
-    run.expect_safe(0.01)
-
-
 @pytest.mark.slow
 def test_where_robots_cannot_be_controlled_any_more_all_stand_and_go_on_later() -> None:
     """At 10 Hz, ticks that come up to three periods late: driving on, they are 1.2 m off after 25 s."""
@@ -168,15 +162,6 @@ def test_where_robots_cannot_be_controlled_any_more_all_stand_and_go_on_later() 
     run.until(40.0)
     assert {agent.state for agent in run.simulation.agents} == {State.RUNNING}
     run.expect_safe(0.01)
-
-
-def test_who_stands_for_it_does_not_tell_everybody_of_everybody_who_is_late() -> None:
-    """30 robots that all stood told of 100 silent ones a second: most of what the machine had to do."""
-    run = Run("at = 2\nfor = 18\ntick_jitter = '600ms'", duration_s=20.0, of=LATTICE).until(19.0)
-    assert not any(agent.state in DRIVING for agent in run.simulation.agents)
-    since_ns = run.simulation.epoch_ns + 6 * NS_PER_S
-    assert sum(len(beacon.silent) for beacon in run.beacons if beacon.time_ns > since_ns) < 130
-    assert {hand.next_ms for hand in run.hands if hand.time_ns > since_ns} == {1000}
 
 
 @pytest.mark.slow
@@ -220,17 +205,6 @@ def test_a_robot_whose_processes_stood_knows_that_nothing_else_did() -> None:
     assert "fault" not in states
     assert not any(beacon.robot == 3 and beacon.unheard for beacon in run.beacons)
     run.expect_safe(0.01)
-
-
-def test_a_plant_that_died_while_its_agent_stood_is_found_to_be_gone() -> None:
-    run = Run(
-        "robot = 3\nat = 5\nfor = 0.5\npause = 'agent'", "robot = 3\nat = 4.95\nfor = 2\nkill = 'plant'"
-    ).until(7.0)
-    states = [(status.state, status.reason) for status in run.statuses if status.robot == 3]
-    assert any(state == "holding" and "ran late" in reason for state, reason in states)
-    assert any(state == "fault" and reason.startswith("plant silent for") for state, reason in states)
-    run.until(20.0)
-    run.expect_safe(0.02)
 
 
 MOVING = """

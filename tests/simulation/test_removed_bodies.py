@@ -126,16 +126,6 @@ def test_who_starts_again_learns_which_bodies_are_gone() -> None:
     assert field.closest_m(PASSES["third"]) < 0.5 * SAFE_M
 
 
-def test_one_that_comes_back_and_dies_again_is_driven_round_again() -> None:
-    """What was said of it before holds no more; said again it does."""
-    again = '[[faults.rule]]\nrobot = 6\nkill = "agent"\nat = 42\n'
-    field = Field(REMOVED, again, dead="at = 2\nfor = 38").until(PASSES["third"][1])
-    assert field.closest_m(PASSES["second"]) < 0.5 * SAFE_M
-    assert field.closest_m(PASSES["third"]) > SAFE_M
-    assert field.given("remove", robots=(6,)) == ""
-    assert field.until(DURATION_S).closest_m(PASSES["back"]) < 0.5 * SAFE_M
-
-
 def test_a_run_in_which_a_body_was_removed_passes() -> None:
     """The verdict counts no collision with what had been carried off."""
     fleet = resolved(parse_fleet(FIELD + DEAD + REMOVED, source="here"))
@@ -143,25 +133,3 @@ def test_a_run_in_which_a_body_was_removed_passes() -> None:
     assert result.reasons == []
     assert result.analysis.closest is not None
     assert result.analysis.closest.distance_m > SAFE_M
-
-
-def test_only_who_is_silent_can_be_removed() -> None:
-    field = Field().until(1.0)
-    heard = "the agent of robot 6 is heard: only the body of one whose agent is silent can be removed"
-    assert field.given("remove", robots=(6,)) == heard
-    field.until(3.0)
-    assert field.given("remove", robots=(6,)) == heard  # it was a second ago
-    field.until(5.0)
-    assert field.given("remove", robots=(6,)) == ""
-    away = "robot 6 has been removed, and is not heard: start its agent again first"
-    join: dict[str, Any] = {"robot": 6, "edges": (1,), "offset_m": (-0.9, -0.9)}
-    assert field.given("join", **join) == away
-    assert field.given("replace", robot=2, by=6) == away
-    field.until(60.0)
-    assert field.given("remove", robots=(6,)) == heard
-    assert field.given("join", **join) == ""
-    field.until(63.0)
-    for agent in field.simulation.agents:
-        assert agent._situation.mission is not None
-        assert agent._situation.mission.note == "robot 6 joins (edge to 1)"
-        assert agent._situation.mission.removed == ()

@@ -13,9 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants, frames
 from handfast.bridges.mavlink.ardupilot.frames import datum_of
-from handfast.bridges.mavlink.bridge.backend import NOT_HEARD_YET
 from handfast.bridges.mavlink.session.identity import Signing, Timestamps
-from handfast.bridges.mavlink.simulator.navigation import Variances
 from handfast.plant.backend import Command
 from tests.rover_scene import GO, MASS, START_NS, STOPS_S, Bridge, Scene, stands, take
 
@@ -42,30 +40,6 @@ def test_when_the_bridge_dies_the_rover_stands_and_a_new_one_drives_on() -> None
     took = scene.until(lambda: scene.rover.speed > 0.2, 10.0)
     assert took < 5.0
     assert scene.bridge.reading.obeying
-
-
-def test_a_new_bridge_that_was_told_to_drive_before_it_heard_its_vehicle_is_told_once_more() -> None:
-    """Its operator had it, and gave it back, before anybody heard it."""
-    scene = Scene()
-    scene.drive()
-    scene.bridge.port.cut = True
-    scene.run(0.5)
-    take(scene.rover, "HOLD")
-    scene.world.ports[0].arriving.clear()
-    scene.bridges[:] = [Bridge(scene.world, 0, scene.fleet, token=77)]
-    bridge = scene.bridge
-    bridge.port.cut, bridge.command = True, GO
-    scene.run(0.5)
-    bridge.clear_to_drive()
-    scene.run(0.5)
-    scene.rover.set_mode("GUIDED")
-    scene.run(0.5)
-    bridge.port.cut = False
-    scene.run(6.0)
-    assert stands(scene)
-    assert bridge.reading.note == f"{NOT_HEARD_YET}: waiting to be told to resume"
-    bridge.clear_to_drive()
-    scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 
 @pytest.mark.parametrize("frozen_s", [1.0, 2.5, 6.0])
@@ -129,17 +103,6 @@ def test_two_bridges_at_two_ports_the_later_one_keeps_off() -> None:
     # The first one ends: the later one has its turn once that has been silent for a while.
     scene.bridge.dead = True
     scene.until(lambda: scene.rover.speed < -0.2, 12.0)
-
-
-def test_two_bridges_that_start_at_once_both_keep_off() -> None:
-    scene = Scene(ports=2)
-    scene.bridges.append(Bridge(scene.world, 1, scene.fleet))
-    for bridge in scene.bridges:
-        bridge.command = GO
-    scene.run(8.0)
-    for bridge in scene.bridges:
-        assert bridge.setpoints() == []
-        assert bridge.reading.note == OWN_ID
 
 
 # ---------------------------------------------------------------------- the vehicle
@@ -210,18 +173,6 @@ def test_a_rover_that_reboots_is_released_and_asked_for_everything_again() -> No
     assert (scene.pose.x, scene.pose.y) == pytest.approx(bridge.reading.pose[:2], abs=0.06)
 
 
-def test_what_kept_it_from_arming_before_a_reboot_is_not_told_of_it_after() -> None:
-    scene = Scene(boot_s=10.0)
-    scene.until(lambda: scene.bridge.reading.obeying)
-    scene.rover._vehicle.say(2, "PreArm: Hardware safety switch")
-    scene.run(0.5)
-    assert any("Hardware safety switch" in line for line in scene.bridge.log)
-    scene.rover.reboot()
-    scene.run(1.0)
-    scene.until(lambda: "arming" in scene.bridge.blocking, 10.0)
-    assert "Hardware" not in scene.bridge.blocking["arming"]
-
-
 def test_a_cut_link_stops_it_and_back_again_and_resumed_it_drives_on_without_a_jump() -> None:
     scene = Scene()
     scene.drive()
@@ -250,16 +201,6 @@ def test_a_cut_link_stops_it_and_back_again_and_resumed_it_drives_on_without_a_j
     assert abs(first[1]) <= (0.15 + 0.05) * 0.8, "from a standstill, not at the speed of before"
     scene.until(lambda: scene.rover.speed > 0.3, 5.0)
     assert bridge.readings[-1].obeying
-
-
-def test_a_link_that_is_cut_for_less_than_an_operator_may_need_goes_on_by_itself() -> None:
-    scene = Scene()
-    scene.drive()
-    scene.bridge.port.cut = True
-    scene.run(2.0)
-    assert not scene.bridge.reading.healthy
-    scene.bridge.port.cut = False
-    scene.until(lambda: scene.bridge.reading.obeying and scene.bridge.reading.healthy, 5.0)
 
 
 @pytest.mark.parametrize("how", ["HOLD", "disarmed"])
@@ -330,46 +271,10 @@ def test_a_jammed_gps_ends_in_hold_and_a_release(how: str, bad: float, measured:
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 
-def test_a_velocity_variance_beyond_the_threshold_alone_is_enough_for_both() -> None:
-    """The bridge brakes at once what the vehicle puts into HOLD after a second."""
-    scene = Scene()
-    scene.drive(0.3)
-    scene.rover._vehicle.navigation.variances = Variances(velocity=0.85)
-    assert scene.until(lambda: not scene.bridge.reading.healthy, 2.0) < 0.7
-    assert scene.bridge.reading.note == "its EKF is inconsistent: variances velocity 0.85, below 0.8 is good"
-    scene.until(lambda: scene.rover.mode == "HOLD", 2.0)
-    scene.run(0.5)
-    assert "HOLD" in scene.bridge.plant.authority.why or not scene.bridge.reading.obeying
-
-
-def test_bad_flags_of_its_ekf_are_told_at_once() -> None:
-    """Its GPS is as good as ever, but its EKF says that it has no position."""
-    scene = Scene()
-    scene.drive(0.2)
-    navigation = scene.rover._vehicle.navigation
-    lost = property(lambda _: constants.EKF_ATTITUDE | constants.EKF_CONST_POS_MODE)
-    navigation.__class__ = type("Lost", (type(navigation),), {"flags": lost})
-    took = scene.until(lambda: not scene.bridge.reading.healthy, 2.0)
-    assert took < 0.7
-    assert scene.bridge.reading.note == "waiting for its EKF to have a position"
-    assert scene.until(lambda: stands(scene), 3.0) < STOPS_S + 0.3, "and it is braked"
-
-
 def jump(scene: Scene, metres: float) -> None:
     """Its EKF is elsewhere from one moment to the next, and stays there."""
     navigation = scene.rover._vehicle.navigation
     navigation._home = frames.local_to_geodetic(navigation._home, metres, 0.0)
-
-
-def test_a_position_that_jumps_a_little_is_driven_by_once_it_is_steady() -> None:
-    scene = Scene()
-    scene.drive()
-    jump(scene, 2.0)
-    scene.run(0.2)
-    assert scene.bridge.reading.note.startswith("its position jumped by ")
-    assert scene.until(lambda: scene.bridge.reading.obeying, 2.0) > 0.7
-    scene.bridge.command = GO
-    scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 
 def test_a_position_that_jumps_far_is_not_driven_by_before_somebody_has_looked() -> None:
@@ -390,47 +295,6 @@ def test_a_position_that_jumps_far_is_not_driven_by_before_somebody_has_looked()
     assert {(speed, rate) for _, speed, rate in sent} <= {(0.0, 0.0)}
     scene.bridge.clear_to_drive()
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
-
-
-def test_one_that_its_operator_drove_far_while_it_was_not_heard_is_resumed_once() -> None:
-    scene = Scene()
-    scene.drive()
-    scene.rover.set_mode("MANUAL")
-    scene.run(0.5)
-    scene.bridge.port.cut = True
-    scene.run(1.0)
-    jump(scene, 30.0)
-    scene.bridge.port.cut = False
-    scene.until(lambda: scene.bridge.reading.healthy, 10.0)
-    scene.rover.set_mode("GUIDED")
-    scene.run(1.0)
-    assert "its operator has given it back" in scene.bridge.reading.note
-    scene.bridge.clear_to_drive()
-    scene.bridge.command = GO
-    scene.until(lambda: scene.rover.speed > 0.2, 5.0)
-
-
-def test_a_rate_that_is_refused_is_followed_by_a_lower_one_that_is_said() -> None:
-    scene = Scene("robot_defaults.mavlink.state_rate_hz=50")
-    scene.drive()
-    scene.run(5.0)
-    rows = {row.name: row for row in scene.bridge.link.streams(scene.now_ns)}
-    for name in ("ATTITUDE", "LOCAL_POSITION_NED"):
-        assert rows[name].asked_hz == 50.0
-        assert rows[name].granted_hz == 25.0
-        assert rows[name].measured_hz == pytest.approx(25.0, abs=1.0)
-        line = scene.bridge.check(name)
-        assert line.level == "warning"
-        assert "50 Hz" in line.found
-        assert line.found.startswith(("24", "25"))
-
-
-def test_the_rate_that_is_granted_comes() -> None:
-    scene = Scene()
-    scene.drive()
-    scene.run(5.0)
-    assert scene.bridge.check("ATTITUDE").level == "ok"
-    assert scene.bridge.blocking == {}
 
 
 # ---------------------------------------------------------------------- its origin
@@ -500,14 +364,3 @@ def test_a_vehicle_that_does_not_sign_with_the_key_is_not_there(tmp_path: Path, 
     assert scene.bridge.setpoints() == []
     assert "signed" in scene.bridge.reading.note
     assert "signed" in scene.bridge.blocking["link"]
-
-
-def test_a_bridge_without_the_key_of_a_signing_port_is_told_so(tmp_path: Path) -> None:
-    """Ports but the first refuse what is not signed: nothing of what is asked for comes."""
-    scene = Scene(ports=2, signing_key=KEY)
-    scene.bridges[:] = [Bridge(scene.world, 1, scene.fleet)]
-    scene.bridge.command = GO
-    scene.run(8.0)
-    assert scene.rover.speed == 0.0
-    assert scene.bridge.link.vehicle_signs
-    assert scene.bridge.blocking

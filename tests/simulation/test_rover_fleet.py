@@ -12,11 +12,10 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.core import Agent
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.types import Checks, HandState, PlantState, Resume, Status, Stop, Wrench
+from handfast.agent.messages.types import HandState, PlantState, Resume, Status, Stop, Wrench
 from handfast.agent.supervision.state_machine import State
 from handfast.bridges.mavlink.ardupilot import frames
 from handfast.bridges.mavlink.ardupilot.frames import datum_of
-from handfast.bridges.mavlink.bridge.authority import REBOOTED
 from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
 from handfast.bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from handfast.bridges.mavlink.simulator.rover import Rover
@@ -148,17 +147,6 @@ def test_taken_over_its_neighbours_are_told_and_carry_on_and_resumed_it_comes_ba
     assert run.edges_within(0.15)
 
 
-def test_a_resume_for_all_leaves_those_that_run_as_they_are() -> None:
-    run = Run()
-    run.until_fleet_time(5.0)
-    since_ns = run.now_ns
-    run.resume()
-    run.run(2.0)
-    for robot in (1, 2, 3):
-        assert {s.state for s in run.heard(Status, robot, since_ns)} == {"running"}
-        assert all(state.obeying for state in run.heard(PlantState, robot, since_ns))
-
-
 def test_an_agent_that_dies_has_its_rover_brake_and_a_new_one_drives_on() -> None:
     run = Run(rules=("robot = 2\nat = 8\nfor = 4\nkill = 'agent'",))
     run.until_fleet_time(8.0)
@@ -215,61 +203,6 @@ def test_when_both_of_its_processes_die_no_new_ones_drive_on_before_they_are_tol
     run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
 
 
-@pytest.mark.parametrize("stopped", [False, True], ids=["driving", "stopped"])
-def test_a_resume_that_was_said_while_both_were_dead_does_not_count(stopped: bool) -> None:
-    """Its operator had the rover then, and gave it back; others say the resume again to who lacks it."""
-    run = Run(rules=tuple(f"robot = 2\nat = 8\nfor = 8\nkill = '{role}'" for role in ("agent", "plant")))
-    run.until_fleet_time(7.0)
-    if stopped:
-        run.stop()
-    run.until_fleet_time(10.0)
-    run.rover(2).set_mode("HOLD")
-    run.until_fleet_time(12.0)
-    run.resume()
-    run.until_fleet_time(14.0)
-    run.rover(2).set_mode("GUIDED")
-    run.until_fleet_time(20.0)
-    run.until(lambda: run.reasons()[2] == BEGUN_LATE, 5.0)
-    run.run(3.0)
-    assert abs(run.rover(2).speed) < 0.06
-    run.resume(2)
-    run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
-
-
-def test_a_bridge_that_dies_while_its_operator_has_the_rover_does_not_take_it() -> None:
-    run = Run(rules=("robot = 2\nat = 8\nfor = 2\nkill = 'plant'",))
-    run.until_fleet_time(7.0)
-    run.rover(2).set_mode("MANUAL")
-    run.until_fleet_time(15.0)
-    assert run.rover(2).set_mode("GUIDED")
-    back_ns = run.now_ns
-    run.run(4.0)
-    assert "waiting to be told to resume" in run.reasons()[2]
-    assert not any(m.driving for m in run.heard(PlantState, 2, back_ns))
-    run.resume()
-    run.until(lambda: run.agent(2).state is State.RUNNING, 2.0)
-
-
-@pytest.mark.slow
-def test_a_vehicle_that_reboots_is_released_and_comes_back_when_told() -> None:
-    run = Run()
-    run.until_fleet_time(8.0)
-    since_ns = run.now_ns
-    run.rover(2).reboot()
-    run.until(lambda: run.agent(2).state is not State.RUNNING, 2.0)
-    run.until(lambda: run.agent(2).state is State.RELEASED and run.rover(2).ready, 90.0)
-    assert run.reasons()[2] == f"{REBOOTED}: mode MANUAL, not GUIDED"
-    run.until(lambda: run.heard(PlantState, 2)[-1].healthy, 10.0)
-    assert not any(m.driving for m in run.heard(PlantState, 2, since_ns + NS_PER_S))
-    assert run.rover(2).set_mode("GUIDED")
-    assert run.rover(2).arm()
-    run.run(2.0)
-    assert not run.heard(PlantState, 2)[-1].obeying
-    run.resume(2)
-    run.until(lambda: run.agent(2).state is State.RUNNING, 2.0)
-    run.until(lambda: run.edges_within(0.15), 60.0)
-
-
 def test_a_cut_link_is_a_fault_until_it_is_back() -> None:
     run = Run()
     run.until_fleet_time(8.0)
@@ -292,21 +225,6 @@ def test_a_cut_link_is_a_fault_until_it_is_back() -> None:
     assert run.edges_within(0.15)
 
 
-@pytest.mark.slow
-def test_a_jammed_gps_is_told_at_once() -> None:
-    run = Run()
-    run.until_fleet_time(8.0)
-    run.rover(2).set_parameter("SIM_GPS1_JAM", 1.0)
-    run.until(lambda: run.agent(2).state is State.FAULT, 3.0)
-    assert "GPS" in run.reasons()[2]
-    run.until(lambda: run.rover(2).mode == "HOLD", 15.0)
-    run.rover(2).set_parameter("SIM_GPS1_JAM", 0.0)
-    run.until(lambda: run.heard(PlantState, 2)[-1].healthy, 30.0)
-    run.run(0.2)
-    assert "HOLD" in run.reasons()[2]
-    assert run.agent(2).state is not State.RUNNING
-
-
 def test_the_mission_ends_with_all_standing_in_guided() -> None:
     run = Run(duration_s=6.0)
     run.until_fleet_time(12.0)
@@ -326,11 +244,3 @@ def test_rovers_with_an_origin_each_drive_in_one_world() -> None:
     for robot in (1, 2, 3):
         state, truth = run.heard(PlantState, robot)[-1], run.body(robot).pose
         assert (state.x, state.y) == pytest.approx((truth.x, truth.y), abs=0.1)
-
-
-def test_checks_are_told_on_the_bus() -> None:
-    run = Run()
-    run.until_fleet_time(6.0)
-    lines = {name: level for name, level, _, _ in run.heard(Checks, 1)[-1].lines}
-    assert lines["type"] == lines["mode"] == lines["ATTITUDE"] == "ok"
-    assert "blocking" not in lines.values()

@@ -6,7 +6,6 @@ import re
 
 import pytest
 
-from handfast.deploy.playback.marks import VEHICLE, marks
 from handfast.deploy.verdict.run_result import RunResult
 from tests.rover_fleet import Drive, Hold
 
@@ -44,19 +43,6 @@ def test_a_rover_that_its_operator_takes_for_good_fails_nothing() -> None:
     result = RunResult(drive.recording())
     assert result.reasons == []
     assert any("Robot 2 was released to its operator from 10." in each for each in result.warnings)
-
-
-def test_a_rover_that_its_own_failsafe_took_for_good_fails() -> None:
-    drive = Drive(20.0)
-    drive.until(8.0)
-    rover = drive.rover
-    for name, value in (("BATT_LOW_VOLT", 10.5), ("BATT_FS_LOW_ACT", 2.0), ("SIM_BATT_VOLTAGE", 9.9)):
-        rover.set_parameter(name, value)
-    result = RunResult(drive.recording())
-    (reason,) = [each for each in result.reasons if "followed no more" in each]
-    assert "its own failsafe has it: mode HOLD, not GUIDED (Battery 1 is low 9.90V" in reason
-    said = [mark.text for mark in marks(result) if mark.kind == VEHICLE]
-    assert any("robot 2 says (warning): Battery 1 is low 9.90V" in text for text in said)
 
 
 @pytest.mark.slow

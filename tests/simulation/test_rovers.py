@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.ardupilot import constants, frames
+from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
 from handfast.plant.backend import Command
 from tests.rover_fleet import Hold
@@ -79,27 +79,6 @@ def test_a_mode_that_is_heard_is_looked_at_before_anything_is_sent() -> None:
     assert bridge.setpoints(before_ns + 1) == []
 
 
-def test_given_back_it_stays_released_until_the_fleet_is_told_to_resume() -> None:
-    scene = Scene()
-    scene.drive()
-    bridge = scene.bridge
-    scene.rover.set_mode("MANUAL")
-    scene.run(1.0)
-    bridge.clear_to_drive()  # too early: its operator still has it
-    scene.run(1.0)
-    back_ns = scene.now_ns
-    assert scene.rover.set_mode("GUIDED")
-    bridge.command = GO
-    scene.run(5.0)
-    assert "has given it back" in bridge.reading.note
-    assert bridge.reading.note.endswith("waiting to be told to resume")
-    assert not bridge.reading.obeying
-    assert bridge.setpoints(back_ns) == []
-    bridge.clear_to_drive()
-    scene.until(lambda: bridge.reading.obeying, 0.1)
-    scene.until(lambda: scene.rover.speed > 0.2, 5.0)
-
-
 def test_a_rover_that_was_never_handed_over_is_not_commanded() -> None:
     scene = Scene(hand_over=False)
     bridge = scene.bridge
@@ -121,18 +100,6 @@ def test_a_rover_that_was_never_handed_over_is_not_commanded() -> None:
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 
-def test_a_mission_while_the_operator_drives_does_not_take_the_rover_from_him() -> None:
-    scene = Scene(hand_over=False)
-    scene.run(4.0)
-    scene.bridge.clear_to_drive()
-    scene.bridge.command = GO
-    scene.rover.set_mode("GUIDED")
-    scene.rover.arm()
-    scene.run(3.0)
-    assert scene.bridge.setpoints() == []
-    assert not scene.bridge.reading.obeying
-
-
 def test_a_wrench_before_it_was_cleared_to_drive_is_not_obeyed() -> None:
     """Of one that started again in mid-drive the vehicle stands until somebody says resume."""
     scene = Scene()
@@ -150,26 +117,6 @@ def test_a_wrench_before_it_was_cleared_to_drive_is_not_obeyed() -> None:
     scene.bridge.command = GO
     scene.until(lambda: scene.rover.speed > 0.3)
     assert scene.bridge.reading.obeying
-
-
-def test_taken_and_given_back_while_its_estimate_is_bad_it_is_released_all_the_same() -> None:
-    scene = Scene()
-    scene.drive()
-    bridge = scene.bridge
-    scene.rover.set_parameter("SIM_GPS1_JAM", 1.0)
-    scene.until(lambda: not bridge.reading.healthy)
-    scene.rover.set_mode("MANUAL")
-    scene.run(0.5)
-    scene.rover.set_mode("GUIDED")
-    scene.run(0.5)
-    assert scene.rover.mode == "GUIDED"
-    scene.rover.set_parameter("SIM_GPS1_JAM", 0.0)
-    back_ns = scene.now_ns
-    bridge.command = GO
-    scene.until(lambda: bridge.reading.healthy)
-    scene.run(3.0)
-    assert bridge.setpoints(back_ns) == []
-    assert "waiting to be told to resume" in bridge.reading.note
 
 
 def test_a_ground_station_is_let_be_and_its_mode_wins() -> None:
@@ -216,58 +163,6 @@ def test_told_to_arm_it_claims_the_rover_once_and_never_from_its_operator() -> N
     scene.rover.disarm()
     scene.run(8.0)
     assert (scene.rover.mode, scene.rover.armed) == ("MANUAL", False)
-
-
-def test_told_to_arm_it_arms_once_though_no_mission_came_yet() -> None:
-    scene = Scene(ARM, hand_over=False)
-    scene.until(lambda: scene.bridge.reading.obeying)
-    scene.rover.disarm()
-    scene.run(10.0)
-    assert (scene.rover.mode, scene.rover.armed) == ("GUIDED", False)
-    assert scene.bridge.reading.note == "disarmed"
-
-
-def test_told_to_arm_it_leaves_a_rover_alone_that_somebody_drives() -> None:
-    scene = Scene(ARM, hand_over=False)
-    scene.rover.arm()
-    scene.run(10.0)
-    assert (scene.rover.mode, scene.rover.armed) == ("MANUAL", True)
-
-
-def test_told_to_arm_it_gives_up_when_the_operator_leaves_guided_before_it_is_armed() -> None:
-    scene = Scene(ARM, hand_over=False)
-    scene.until(lambda: scene.rover.mode == "GUIDED")
-    scene.rover.set_mode("HOLD")
-    scene.run(10.0)
-    assert (scene.rover.mode, scene.rover.armed) == ("HOLD", False)
-    assert any("asked no more" in line for line in scene.bridge.log)
-
-
-def test_told_to_arm_it_sees_the_operator_leave_guided_while_there_is_trouble() -> None:
-    scene = Scene(ARM, hand_over=False)
-    scene.until(lambda: any("asking for GUIDED" in line for line in scene.bridge.log))
-    scene.bridge.port.trouble = "cannot be opened"
-    scene.run(0.3)
-    assert scene.rover.mode == "GUIDED"
-    scene.rover.set_mode("HOLD")
-    scene.run(0.3)
-    scene.bridge.port.trouble = ""
-    scene.run(10.0)
-    assert (scene.rover.mode, scene.rover.armed) == ("HOLD", False)
-
-
-def test_what_its_operator_armed_anew_it_does_not_disarm_at_its_end() -> None:
-    scene = Scene(ARM, hand_over=False)
-    scene.drive()
-    scene.rover.disarm()
-    scene.run(4.0)  # the vehicle goes on with a setpoint of the last 3 s
-    scene.rover.arm()
-    scene.run(1.0)
-    assert stands(scene)
-    scene.bridge.plant.close()
-    scene.bridge.dead = True
-    scene.run(0.2)
-    assert scene.rover.armed
 
 
 @pytest.mark.parametrize("armed_here", [True, False])
@@ -404,33 +299,3 @@ def test_a_rover_that_stands_before_its_own_fence_is_told_as_that() -> None:
     assert "does not follow" not in note
     line = scene.bridge.check("AVOID_ENABLE")
     assert (line.level, line.found) == ("warning", "3: before its own fence it stops and stays in GUIDED")
-
-
-def test_without_avoidance_its_fence_takes_it_into_hold() -> None:
-    scene = fenced(AVOID_ENABLE=0.0)
-    assert scene.rover.mode == "HOLD"
-    scene.run(1.2)  # FENCE_STATUS, which says it, comes once a second
-    note = scene.bridge.reading.note
-    assert note == "its own failsafe has it: mode HOLD, not GUIDED (fence breached)"
-
-
-def test_a_rover_that_is_stuck_far_from_its_fence_is_not_said_to_stand_before_it() -> None:
-    scene = Scene(parameters={"FENCE_ENABLE": 1.0})
-    scene.until(lambda: scene.bridge.link.parameters_done)
-    scene.drive(0.4)
-    Hold(scene.rover)
-    scene.bridge.command = GO
-    scene.until(lambda: not scene.bridge.reading.obeying, 5.0)
-    assert "does not follow its commands" in scene.bridge.reading.note
-
-
-def test_one_that_steers_by_its_front_wheels_is_not_cleared() -> None:
-    """Driven all the same, it does not turn where it stands: it does not follow."""
-    scene = Scene(parameters={"SERVO1_FUNCTION": 26.0, "SERVO3_FUNCTION": 70.0})
-    scene.run(6.0)
-    assert scene.bridge.blocking == {"steering": "it steers by its front wheels (SERVO1_FUNCTION 26)"}
-    scene.bridge.clear_to_drive()
-    scene.bridge.command = Command(0.0, 1.2 * 0.5)
-    scene.until(lambda: not scene.bridge.reading.obeying, 10.0)
-    assert abs(frames.heading_from_yaw(scene.rover.yaw) - scene.fleet.robot(1).heading_rad) < 0.05
-    assert "does not follow its commands: asked for " in scene.bridge.reading.note

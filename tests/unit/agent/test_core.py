@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import permutations
 from math import hypot
 
 import msgpack
@@ -16,9 +14,8 @@ from handfast.agent.control.own_hand import LAST_PLACE_NS
 from handfast.agent.core import Agent
 from handfast.agent.fleet.loading import digest
 from handfast.agent.fleet.model import FleetError
-from handfast.agent.formation.trajectory import make_trajectory
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import VERSION, decode, encode
+from handfast.agent.messages.codec import VERSION
 from handfast.agent.messages.types import (
     Ask,
     Beacon,
@@ -230,56 +227,6 @@ def test_one_that_lost_its_plant_tells_how_far_it_may_be_from_where_it_says():
     assert bench.tick().hand.doubt == 0.0
 
 
-def test_unhealthy_plant_is_a_fault_and_says_why():
-    bench = Bench()
-    bench.drive()
-    bench.plant = {"healthy": False, "note": "estimator lost"}
-    out = bench.tick()
-    assert bench.agent.condition == ("fault", "plant unhealthy: estimator lost")
-    assert brakes(out)
-    assert not out.hand.following
-    bench.plant = {"healthy": False}
-    bench.tick()
-    assert bench.agent.reason == "plant unhealthy: no reason given"
-    bench.plant = {}
-    bench.run(2)
-    assert bench.state is State.RUNNING
-
-
-def test_plant_that_never_came_is_waited_for():
-    bench = Bench()
-    bench.pose = None
-    bench.mission()
-    bench.run(50)
-    assert bench.agent.condition == ("waiting", "for its plant")
-
-
-def test_a_robot_that_hears_no_neighbour_drives_slower_then_holds_and_goes_on():
-    bench = Bench()
-    bench.drive()
-    bench.run(5)
-    bench.other, silent_since = None, bench.now - 2 * PERIOD
-    seen: list[tuple[str, int]] = []
-    while bench.state is not State.HOLDING:
-        out = bench.tick()
-        age = bench.now - PERIOD - silent_since
-        if not seen or seen[-1][0] != bench.state.value:
-            seen.append((bench.state.value, age))
-        assert brakes(out) == (bench.state is State.HOLDING)
-        assert out.hand.following == (bench.state is not State.HOLDING)
-    (_, _), (slower, slow_age), (holding, held_age) = seen
-    assert (slower, holding) == ("degraded", "holding")
-    horizon = NS_PER_S // 2
-    assert 3 * horizon // 4 < slow_age <= 3 * horizon // 4 + PERIOD
-    assert horizon < held_age <= horizon + PERIOD
-    assert bench.agent.condition == ("holding", "hears none of its neighbours: robot 2 (0.5 s)")
-    assert all(map(brakes, bench.run(10)))
-    assert bench.agent.condition == ("holding", "hears none of its neighbours: robot 2 (0.7 s)")
-    bench.other = (1.5, 0.2, 0.0, 0.0)
-    assert not brakes(bench.tick())
-    assert bench.agent.condition == ("running", "")
-
-
 @pytest.mark.parametrize("horizon", ["0", "0.001", "0.02", "0.039"])
 def test_horizon_of_less_than_two_periods_drives_or_is_refused(horizon: str):
     """A neighbour's state is a period old when it is used: no horizon may be a robot that never starts."""
@@ -292,28 +239,6 @@ def test_horizon_of_less_than_two_periods_drives_or_is_refused(horizon: str):
         assert not any(map(brakes, bench.run(20)))
         return
     assert "prediction_horizon_s" in refusal
-
-
-def test_a_robot_without_neighbours_drives_alone():
-    made = fleet()
-    made = replace(
-        made,
-        robots=(*made.robots, replace(made.robots[0], id=3, y_m=5.0)),
-        formation=replace(made.formation, offsets=((0.0, 0.0), (1.0, 0.0), (0.0, 5.0))),
-    )
-    agent = Agent(made, 3)
-    now = START + PERIOD // 2
-    agent.receive(now, "two/mission", encode(Mission(1, now, now, NS_PER_S, digest(made))))
-    for k in range(LISTEN_TICKS):
-        state = PlantState(3, k, now - PERIOD // 2, 0.5, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, True, True, "")
-        agent.receive(now, "two/robot/3/plant/state", encode(state))
-        out = dict(agent.tick(now))
-        now += PERIOD
-    assert agent.state is State.RUNNING
-    message = decode(out["two/robot/3/hand"])
-    assert message.multipliers == ()
-    assert message[11:13] == (0.0, 0.0)
-    assert decode(out["two/robot/3/plant/wrench"]).force < 0.0  # back to where it belongs
 
 
 # ---------------------------------------------------------------------- missions and stops
@@ -360,14 +285,6 @@ def test_older_and_repeated_missions_are_ignored():
     assert bench.last.mission_version == 5
 
 
-def test_a_later_mission_replaces_the_one_that_is_driven():
-    bench = Bench()
-    bench.drive()
-    bench.mission(2, epoch_ns=START, duration_s=0.001)
-    bench.tick()
-    assert bench.agent.condition == ("stopping", "the mission is over")
-
-
 def test_a_later_mission_that_has_not_begun_is_waited_for():
     """Neighbours take a robot to stand until the epoch of its mission."""
     bench = Bench()
@@ -377,20 +294,6 @@ def test_a_later_mission_that_has_not_begun_is_waited_for():
         assert brakes(out)
     bench.run(15)
     assert bench.state is State.RUNNING
-
-
-def test_a_later_mission_leaves_nothing_of_the_one_before():
-    """Reference points are kept by wall time: those of the old epoch must go with it."""
-    bench = Bench()
-    bench.drive()
-    bench.run(10)
-    epoch = START - 30 * NS_PER_S
-    bench.mission(2, epoch_ns=epoch)
-    bench.tick()
-    wanted = make_trajectory(bench.fleet.trajectory).at((bench.now - epoch) / NS_PER_S)
-    reference = bench.agent._controller.reference
-    assert reference.motion(1, bench.now) == pytest.approx(wanted)  # its place is at the reference point
-    assert [edge[:3] for edge in reference.edges(1, bench.now)] == [(2, 1.0, 1.0)]
 
 
 def test_stop_stops_and_only_a_later_leave_starts_again():
@@ -412,42 +315,6 @@ def test_stop_stops_and_only_a_later_leave_starts_again():
     assert brakes(bench.tick())
     assert not brakes(bench.tick())
     assert bench.agent.condition == ("running", "")
-
-
-def test_a_stop_from_before_the_last_leave_is_ignored():
-    bench = Bench()
-    bench.drive()
-    bench.resume(7)
-    bench.stop(6, "too late")
-    assert not any(map(brakes, bench.run(5)))
-    assert bench.state is State.RUNNING
-
-
-def test_an_older_stop_that_comes_late_does_not_weaken_a_newer_one():
-    bench = Bench()
-    bench.tick()
-    bench.stop(5, "at once")
-    bench.stop(3, "earlier")
-    bench.resume(4)
-    bench.mission(4)
-    for out in bench.run(8):
-        assert brakes(out)
-    assert bench.agent.condition == ("stopped", "stop: at once")
-    assert bench.counters()["rejected.out_of_order"] == 1
-
-
-@pytest.mark.parametrize("order", list(permutations(("stop", "mission", "resume"))))
-def test_a_stop_and_the_leave_after_it_may_come_in_any_order(order: tuple[str, ...]):
-    """Three keys, three channels: each may overtake the others."""
-    bench = Bench()
-    bench.listen()
-    for what in order:
-        if what == "mission":
-            bench.mission(9, epoch_ns=bench.now)
-        else:
-            getattr(bench, what)(3 if what == "stop" else 4)
-    bench.run(5)
-    assert bench.state is State.RUNNING
 
 
 def test_a_robot_that_starts_in_the_middle_of_a_mission_joins_it():
@@ -482,23 +349,6 @@ def test_ending_brakes_and_is_done_at_rest():
     assert all(map(brakes, bench.run(5)))
 
 
-def test_ending_without_a_plant_is_done_at_once():
-    bench = Bench()
-    bench.pose = None
-    bench.agent.end()
-    bench.tick()
-    assert bench.agent.done
-
-
-def test_ending_when_the_plant_dies_is_done():
-    bench = Bench()
-    bench.drive()
-    bench.pose = None
-    bench.agent.end()
-    bench.run(10)
-    assert bench.agent.done
-
-
 # ---------------------------------------------------------------------- the law as the agent applies it
 
 
@@ -529,15 +379,6 @@ def test_hand_state_is_where_the_hand_is_now():
     out = bench.drive()
     after = Pose(0.2 + 0.005 * np.cos(0.702), -0.1 + 0.005 * np.sin(0.702), 0.704, 0.5, 0.4)
     assert out.hand[5:9] == pytest.approx(tuple(hand(after, 0.1)), abs=1e-8)
-
-
-def test_a_neighbour_that_is_too_near_is_pushed_away_from():
-    bench = Bench("trajectory.kind=hold", "formation.offsets=[[-0.5,0],[0.5,0]]")
-    bench.pose, bench.other = Pose(-0.3, 0.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0, 0.0)
-    out = bench.drive()
-    assert out.hand.constraint_x + out.hand.navigation_x < 0.0
-    assert out.wrench.force < 0.0
-    assert out.wrench.torque == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
@@ -582,34 +423,6 @@ def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late:
 
 
 # ---------------------------------------------------------------------- orders of others
-
-
-def test_orders_are_told_once_byte_by_byte_the_stop_first():
-    bench = Bench()
-    bench.listen()
-    now = bench.now
-    said = [
-        encode(Stop(5, now, "Grüße: a person")),
-        encode(Resume(6, now, (1, 2))),
-        encode(
-            Mission(
-                *(7, now, now + NS_PER_S, 60 * NS_PER_S, digest(bench.fleet), 1, 2, "wider", 3),
-                (("kind", "line"), ("velocity_mps", (0, 0.25)), ("start_m", (-0.0, 1e-300))),
-                ((1, 0.0, 0.0), (2, 1.25, 0.0)),
-                ((1, 2, 1.25),),
-            )
-        ),
-    ]
-    for key, payload in zip((OTHERS_TOLD, RESUME, MISSION), said, strict=True):
-        bench.give(key, payload)
-    bench.give(STOP, said[0])
-    assert [pair for pair in bench.tick().raw if pair[0] == TOLD] == [(TOLD, payload) for payload in said]
-    bench.give(MISSION, said[2])
-    again = [pair for out in bench.run(20) for pair in out.raw if pair[0] == TOLD]
-    assert again == []
-    # The bench's plant has heard nothing: it is told, but not in every tick.
-    again = [payload for out in bench.run(10) for key, payload in out.raw if key == TOLD]
-    assert again == said
 
 
 def test_orders_are_taken_from_every_robot_of_the_fleet_on_its_own_key_and_from_no_other():

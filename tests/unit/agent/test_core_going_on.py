@@ -66,12 +66,6 @@ def test_what_another_robot_relays_is_known_and_not_driven(bench: Bench):
     assert bench.last.mission_version == 0  # so that who drives the fleet says it again
 
 
-def test_nor_is_what_it_recalls(bench: Bench):
-    recall(bench, mission(bench))
-    assert not drives(bench)
-    assert bench.agent.condition == ("ready", NOT_SAID)
-
-
 @pytest.mark.parametrize("how", ["recalled", "relayed"])
 @pytest.mark.parametrize("word", ["mission", "resume", "somebody drives"])
 def test_until_somebody_says_so_now(bench: Bench, how: str, word: str):
@@ -87,26 +81,6 @@ def test_until_somebody_says_so_now(bench: Bench, how: str, word: str):
     else:
         beacon(bench, mission(bench))
     assert drives(bench)
-
-
-def test_not_by_who_drives_another_mission_or_does_not_drive(bench: Bench):
-    recall(bench, mission(bench))
-    beacon(bench, mission(bench, VERSION - 1))
-    bench.run(5)
-    beacon(bench, mission(bench), following=False)
-    assert not drives(bench)
-
-
-def test_who_follows_without_any_mission_starts_nobody(bench: Bench):
-    bench.give(OTHERS_BEACON, Beacon(2, 1, bench.now, True, 1.5, 0.2, 0.0, 0.0, 0.0, 0, 0, -1, -1))
-    bench.give(OTHERS_TOLD, mission(bench))
-    assert not drives(bench)
-
-
-def test_not_by_an_older_mission_on_an_operators_key(bench: Bench):
-    recall(bench, mission(bench))
-    bench.give(MISSION, mission(bench, VERSION - 1))
-    assert not drives(bench)
 
 
 def test_not_by_a_resume_that_is_relayed_or_for_another(bench: Bench):
@@ -156,16 +130,6 @@ def test_orders_are_acknowledged_when_they_are_kept(bench: Bench):
     bench.agent.kept(bench.agent.lasting, "")
     bench.tick()  # and said at once: operators wait for it
     assert (bench.last.mission_version, bench.last.order_version) == (VERSION, 6)
-
-
-def test_a_disk_that_fails_is_said(bench: Bench):
-    recall(bench)
-    bench.stop(6, "lunch")
-    bench.tick()
-    bench.agent.kept(bench.agent.lasting, "not on its disk: no space left on device")
-    bench.run(12)
-    assert bench.agent.condition == ("stopped", "stop: lunch; not on its disk: no space left on device")
-    assert bench.last.order_version == 6
 
 
 DAY_US = 24 * 3600 * 1_000_000

@@ -10,10 +10,10 @@ import pytest
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.formation.reference import Edge
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
-from handfast.agent.supervision.state_machine import DRIVING, State
+from handfast.agent.messages.types import Beacon, HandState, Mission, Wrench
+from handfast.agent.supervision.state_machine import State
 from tests.hand_acceleration import hand_acceleration
-from tests.unit.agent.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
+from tests.unit.agent.fleet_bench import MISSION, PERIOD, FleetBench, three
 
 PLACES = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.0))
 EDGES = ((1, 2, 1.0), (2, 3, sqrt(2.0)), (1, 3, 1.0))
@@ -90,13 +90,6 @@ def test_a_robot_in_reserve_stands_by_and_tells_where_it_is(bench: FleetBench):
     assert period_ns == NS_PER_S // 5
 
 
-def test_a_robot_in_reserve_takes_a_stop_as_all_do(bench: FleetBench):
-    bench.say(STOP, Stop(1, bench.now, ""))
-    bench.run(0.2)
-    assert bench.state(4) is State.STOPPED
-    assert bench.plants[4].condition == ("braking", "stop")
-
-
 def test_a_reserve_is_no_reason_to_wait_for():
     bench = FleetBench(three())
     bench.cut = lambda key, _node: key.startswith("few/robot/4")
@@ -148,26 +141,6 @@ def test_new_edges_come_in_by_and_by_and_the_command_makes_no_jump(bench: FleetB
     assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
 
 
-@pytest.mark.parametrize("silence", ["drop", "hold"])
-def test_nobody_holds_for_a_robot_that_has_just_joined(silence: str):
-    """It is not heard yet, nor does its edge weigh anything."""
-    bench = FleetBench(three(f"supervision.silence={silence}"))
-    bench.drive()
-    change(bench, 2, JOINED, JOINED_EDGES)
-    for _ in range(75):
-        bench.step()
-        assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
-
-
-def test_a_robot_that_joined_comes_to_its_place(bench: FleetBench):
-    change(bench, 2, JOINED, JOINED_EDGES)
-    bench.run(25.0)
-    (x1, y1), (x2, y2), (x4, y4) = (bench.position(robot) for robot in (1, 2, 4))
-    assert hypot(x4 - x1, y4 - y1) == pytest.approx(1.0, abs=0.02)
-    assert hypot(x4 - x2, y4 - y2) == pytest.approx(sqrt(2.0), abs=0.02)
-    assert (x4, y4) == pytest.approx((x1, y1 - 1.0), abs=0.03)
-
-
 # ---------------------------------------------------------------------- leaving
 
 
@@ -183,33 +156,6 @@ def test_a_robot_that_leaves_stands_by_and_is_let_go(bench: FleetBench):
     bench.run(20.0)  # until it is out of sight
     assert "few/robot/3/hand" not in bench.agents[1].subscriptions
     assert bench.state(1) is State.RUNNING
-
-
-def test_who_left_is_still_kept_away_from(bench: FleetBench):
-    """It stands where it left: beside the others' way, within the sensing region."""
-    change(bench, 2, PLACES[:2], EDGES[:1])
-    bench.run(1.2)
-    assert [peer.robot for peer in bench.agents[1]._controller.proximity.close] == [3]
-    assert "few/robot/3/hand" in bench.agents[1].subscriptions
-
-
-def test_who_left_may_join_again(bench: FleetBench):
-    change(bench, 2, PLACES[:2], EDGES[:1])
-    bench.run(2.0)
-    change(bench, 3, PLACES, EDGES)
-    bench.run(3.0)
-    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
-
-
-def test_a_robot_is_replaced_by_another(bench: FleetBench):
-    swapped = tuple((4 if robot == 3 else robot, x, y) for robot, x, y in PLACES)
-    change(bench, 2, swapped, ((1, 2, 1.0), (2, 4, sqrt(2.0)), (1, 4, 1.0)))
-    bench.run(30.0)
-    assert [bench.state(robot) for robot in (1, 2, 3, 4)] == [
-        State.RUNNING, State.RUNNING, State.STANDBY, State.RUNNING,
-    ]  # fmt: skip
-    (x1, y1), (x4, y4) = bench.position(1), bench.position(4)
-    assert hypot(x4 - x1, y4 - y1) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("off_ns", [PERIOD // 4, PERIOD // 2])
@@ -256,18 +202,6 @@ def test_what_is_wrong_with_a_mission_is_told_by_who_waits_for_one():
 
 
 # ---------------------------------------------------------------------- starting again
-
-
-def test_an_agent_that_starts_again_takes_its_place_again(bench: FleetBench):
-    change(bench, 2, JOINED, JOINED_EDGES)
-    bench.run(20.0)
-    bench.restart(4)
-    while bench.state(4) not in DRIVING:
-        bench.step()
-    bench.run(3.0)
-    assert {bench.state(robot) for robot in (1, 2, 3, 4)} == {State.RUNNING}
-    assert edges(bench, 4).keys() == {1, 2}
-    assert all(edge.weight == 1.0 for edge in edges(bench, 4).values())
 
 
 def test_who_missed_a_change_is_where_it_belongs_as_soon_as_it_is_told(bench: FleetBench):

@@ -14,7 +14,7 @@ from handfast.agent.core import Agent
 from handfast.agent.fleet.loading import digest
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.codec import encode
-from handfast.agent.messages.types import Mission, Resume, Stop
+from handfast.agent.messages.types import Mission, Stop
 from handfast.agent.supervision.state_machine import State
 from handfast.plant.backend import Command, PlantBackend, Reading
 from handfast.plant.node import PlantNode
@@ -23,7 +23,6 @@ from tests.unit.agent.agent_bench import (
     LISTEN_TICKS,
     MISSION,
     PERIOD,
-    RESUME,
     START,
     STOP,
     TIMEOUT_TICKS,
@@ -102,29 +101,6 @@ def test_a_robot_whose_body_was_not_handed_over_waits_with_the_reason():
     assert bench.state is State.RUNNING
 
 
-def test_a_plant_that_starts_again_while_its_operator_had_the_body_does_not_end_the_release():
-    """A new bridge finds GUIDED and armed: that the operator had it meanwhile only the agent knows."""
-    bench = Bench()
-    bench.drive()
-    bench.plant = TAKEN
-    bench.run(3)
-    bench.pose = None  # its plant is killed
-    bench.run(TIMEOUT_TICKS + 2)
-    assert bench.state is State.FAULT
-    bench.pose, bench.plant = Pose(0.0, 0.0, 0.0, 0.0, 0.0), {}
-    for out in bench.run(30):
-        assert brakes(out)
-        assert not out.hand.following
-    state, reason = bench.agent.condition
-    assert state == "released"
-    assert "told to resume" in reason
-    bench.give(RESUME, Resume(1, bench.now, (2,)))  # somebody else's
-    assert brakes(bench.tick())
-    bench.give(RESUME, Resume(2, bench.now, (1,)))
-    assert not brakes(bench.tick())
-    assert bench.state is State.RUNNING
-
-
 def test_a_new_mission_is_leave_to_drive_as_well():
     bench = Bench()
     bench.drive()
@@ -139,31 +115,6 @@ def test_a_new_mission_is_leave_to_drive_as_well():
     assert bench.state is State.RUNNING
 
 
-def test_an_agent_that_starts_again_while_its_body_is_taken_waits_for_it():
-    bench = Bench()
-    bench.plant = TAKEN
-    bench.tick()
-    bench.mission(epoch_ns=START - 10 * NS_PER_S)
-    assert all(map(brakes, bench.run(LISTEN_TICKS)))
-    assert bench.agent.condition == ("released", "mode MANUAL")
-    bench.plant = {}
-    assert not brakes(bench.tick())
-    assert bench.agent.condition == ("running", "")
-
-
-def test_a_bad_pose_of_a_taken_body_is_a_fault_all_the_same():
-    bench = Bench()
-    bench.drive()
-    bench.plant = TAKEN
-    bench.tick()
-    bench.plant = {**TAKEN, "healthy": False, "note": "no estimate"}
-    assert not bench.tick().hand.following
-    assert bench.agent.condition == ("fault", "plant unhealthy: no estimate")
-    bench.plant = TAKEN
-    bench.run(3)
-    assert bench.agent.condition == ("released", "mode MANUAL")
-
-
 def test_a_stop_reaches_a_released_robot():
     bench = Bench()
     bench.drive()
@@ -176,17 +127,6 @@ def test_a_stop_reaches_a_released_robot():
     bench.plant = {}
     assert all(map(brakes, bench.run(10)))
     assert bench.agent.condition == ("stopped", "stop: lunch")
-
-
-def test_ending_does_not_wait_for_a_body_that_somebody_else_drives():
-    bench = Bench()
-    bench.drive()
-    bench.plant, bench.pose = TAKEN, Pose(0.0, 0.0, 0.0, 0.5, 0.0)
-    bench.tick()
-    assert not bench.agent.done
-    bench.agent.end()
-    assert brakes(bench.tick())
-    assert bench.agent.done
 
 
 class Lent(PlantBackend):

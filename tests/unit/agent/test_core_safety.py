@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import hypot
 
 import pytest
 
@@ -13,7 +12,7 @@ from handfast.agent.control.hand import Pose
 from handfast.agent.control.peers.lateness import STOOD_KEPT_NS
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
+from handfast.agent.messages.types import Beacon, Heartbeat, Stop, Wrench
 from handfast.agent.supervision.state_machine import State
 from handfast.plant.node import PlantNode
 from tests.unit.agent.agent_bench import (
@@ -26,7 +25,7 @@ from tests.unit.agent.agent_bench import (
     Out,
     brakes,
 )
-from tests.unit.agent.fleet_bench import RESUME, STOP, FleetBench, three
+from tests.unit.agent.fleet_bench import STOP, FleetBench, three
 
 # ---------------------------------------------------------------------- stop
 
@@ -109,51 +108,11 @@ def test_a_robot_that_starts_again_in_a_stop_does_not_drive(after_s: float):
     assert all(wrench.brake for wrench in wrenches(bench, 3, since_ns))
 
 
-def test_a_stop_reaches_robots_that_no_operator_reaches():
-    bench = FleetBench(three())
-    bench.drive()
-    bench.say(STOP, Stop(1, bench.now, "here"), [bench.agents[2]])
-    bench.run(1.0)
-    assert {bench.state(robot) for robot in bench.fleet.ids} == {State.STOPPED}
-    assert {plant.condition for plant in bench.plants.values()} == {("braking", "stop: here")}
-
-
-def test_two_operators_who_stop_and_resume_at_once_end_in_one_state():
-    bench = FleetBench(three())
-    bench.drive()
-    for robot, agent in bench.agents.items():
-        orders = [(STOP, Stop(3, bench.now, "a")), (RESUME, Resume(3, bench.now, ()))]
-        for key, order in orders if robot % 2 else reversed(orders):
-            bench.say(key, order, [agent, bench.plants[robot]])
-    bench.run(2.0)
-    assert {bench.state(robot) for robot in bench.fleet.ids} == {State.STOPPED}  # the stop holds
-
-
 # ---------------------------------------------------------------------- dead-man's switch
 
 
 def beat(bench: Bench) -> None:
     bench.give(HEARTBEAT, Heartbeat(bench.now, "Ada"))
-
-
-def test_without_heartbeats_a_fleet_with_a_dead_mans_switch_holds_and_goes_on():
-    bench = Bench("supervision.deadman_s=1.0")
-    beat(bench)
-    bench.drive()
-    last_ns = bench.now
-    beat(bench)
-    bench.tick()
-    outs = []
-    while bench.state is State.RUNNING:
-        outs.append(bench.tick())
-        assert len(outs) < 100
-    assert bench.agent.condition == ("holding", "no operator's heartbeat for 1.0 s")
-    assert 1_000_000_000 < bench.now - PERIOD - last_ns <= 1_000_000_000 + PERIOD
-    assert not any(map(brakes, outs[:-1]))
-    assert all(map(brakes, bench.run(50)))
-    beat(bench)
-    assert not brakes(bench.tick())
-    assert bench.state is State.RUNNING
 
 
 def test_without_an_operator_no_drive_begins():
@@ -165,13 +124,6 @@ def test_without_an_operator_no_drive_begins():
     assert bench.agent.reason == "no operator's heartbeat"
     beat(bench)
     assert not brakes(bench.tick())
-
-
-def test_without_a_dead_mans_switch_heartbeats_do_not_matter():
-    bench = Bench()
-    bench.drive()
-    beat(bench)
-    assert not any(map(brakes, bench.run(200)))
 
 
 # ---------------------------------------------------------------------- others that share no edge
@@ -205,12 +157,6 @@ def test_who_shares_no_edge_is_pushed_away_and_never_pulled(coupling: str, gap: 
     if closing >= 0.0:
         assert out.hand.degree == 1
         assert out.hand.constraint_x < 0.0
-
-
-def test_beyond_d_a_there_is_no_force():
-    out = near(0.52).tick()
-    assert out.hand.degree == 0
-    assert (out.hand.constraint_x, out.hand.multipliers) == (0.0, ())
 
 
 def test_a_stranger_is_heard_by_its_beacons_until_it_is_close_and_then_closely():
@@ -273,31 +219,6 @@ def test_actuators_are_not_asked_for_more_than_they_have():
         assert abs(out.wrench.torque) <= 0.01 + 1e-8
 
 
-def test_three_robots_that_swap_places_never_come_too_near():
-    """No edge among them: the constraints and the filter alone keep them apart."""
-    made = parse_fleet(
-        """
-        robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 3, y_m = 0 }, { id = 3, x_m = 1.5, y_m = 2 }]
-        fleet = { name = "few", rate_hz = 50 }
-        formation = { edges = [], offsets = [[3, 0.1], [0, -0.1], [1.5, -2]], safe_distance_m = 0.3 }
-        """,
-        source="here",
-    )
-    bench = FleetBench(made)
-    bench.run(0.2)
-    bench.say("few/mission", bench.mission())
-    least = 9.0
-    for _ in range(1500):
-        bench.step()
-        places = [bench.position(robot) for robot in made.ids]
-        least = min(
-            least,
-            *(hypot(a[0] - b[0], a[1] - b[1]) for k, a in enumerate(places) for b in places[:k]),
-        )
-    assert least > made.formation.safe_distance_m
-    assert hypot(places[0][0] - 3.0, places[0][1] - 0.1) < 0.1
-
-
 # ---------------------------------------------------------------------- obstacles and the geofence
 
 
@@ -335,10 +256,6 @@ def test_an_obstacle_and_the_fence_push_and_never_pull(text: str):
     assert out.hand.constraint_x < 0.0
 
 
-def test_far_from_an_obstacle_there_is_no_force():
-    assert alone(SHED, -1.5).run(3)[-1].hand.degree == 0
-
-
 @pytest.mark.parametrize(("text", "cause"), [(SHED, "shed"), (FENCE, "geofence")])
 def test_who_runs_into_an_obstacle_or_the_fence_is_braked(text: str, cause: str):
     bench = alone(text, 0.45, 1.5)
@@ -363,16 +280,6 @@ def test_near_the_fence_a_robot_says_so_and_outside_it_holds():
 # ---------------------------------------------------------------------- silence and numbers
 
 
-def test_silence_of_all_never_keeps_a_tick():
-    """Every tick gives a wrench at once, whatever does not come."""
-    bench = Bench()
-    bench.drive()
-    bench.other = bench.pose = None
-    for _ in range(200):
-        now = bench.now
-        assert bench.tick().wrench.time_ns == now
-
-
 def test_beacons_come_a_few_times_a_second_in_every_state_and_robots_take_turns():
     bench = Bench()
     states = set()
@@ -388,13 +295,6 @@ def test_beacons_come_a_few_times_a_second_in_every_state_and_robots_take_turns(
     assert steps == {NS_PER_S // 5}
     assert told[0].following
     assert not told[-1].following
-
-
-def test_robots_take_turns_with_their_beacons():
-    bench = FleetBench(three())
-    bench.run(1.0)
-    turns = {message.time_ns % (NS_PER_S // 5) for _, _, message in bench.said if isinstance(message, Beacon)}
-    assert len(turns) == len(bench.fleet.ids)
 
 
 @pytest.mark.parametrize("silent", [False, True])
@@ -424,19 +324,6 @@ def test_a_robot_that_does_not_know_where_it_is_does_not_say_that_it_drives():
     assert out.beacon is None
     assert bench.state is State.FAULT
     assert bench.agent.reason
-
-
-def test_a_process_that_stood_says_so_for_a_while():
-    """What it did not say meanwhile is no message that was lost."""
-    bench = Bench()
-    bench.drive()
-    assert bench.tick().hand.stood_ms == 0
-    bench.now += 10 * PERIOD
-    bench.agent.late(bench.now, 10 * PERIOD)
-    assert bench.tick().hand.stood_ms == 10 * PERIOD // 1_000_000
-    said = [out.hand.stood_ms for out in bench.run(round(2.2 * NS_PER_S / PERIOD))]
-    assert said[0] == 10 * PERIOD // 1_000_000
-    assert said[-1] == 0
 
 
 @pytest.mark.parametrize(("late_ns", "kept"), [(99_000_000, False), (100_000_000, True)])

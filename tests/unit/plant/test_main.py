@@ -113,28 +113,6 @@ def test_several_bodies_are_those_of_other_robots_behind_a_router(
         started[0](resolved(load_fleet(FLEETS / "pair.toml", settings)), 1, RealClock(), print)
 
 
-def test_several_bodies_write_a_log_each(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    started: list[Any] = []
-    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[3]) or 0)
-    server.main(
-        [], "python -m handfast.plant", lambda given, robot, *_: from_fleet(given, robot), [2], tmp_path
-    )
-    fleet = routed_pair()
-    said: list[str] = []
-    start = started[0](fleet, 1, RealClock(), said.append)
-    assert (start.listen, start.connect) == ((), [fleet.agent_near(1), fleet.agent_near(2)])
-    assert start.beside == [2]
-    ticks = start.ticks_from(0)
-    ticks.take(ticks.due_ns)
-    start.node.tick(ticks.due_ns)
-    assert said == ["braking: no wrench yet"]
-    assert (tmp_path / "robot-2-plant.log").read_text() == "robot 2 plant: braking: no wrench yet\n"
-    assert capsys.readouterr().err == ""
-    start.close()
-
-
 def routed_pair() -> Fleet:
     """The pair behind a router, on ports that are free."""
     found = Reservation("127.0.0.1", 20000, 4)
@@ -154,10 +132,3 @@ def test_who_has_several_bodies_lets_nobody_have_a_second_of_one_of_them() -> No
     for each in held:
         each.close()
     Bus(listen=fleet.plant_listens(2), connect=[]).close()
-
-
-def test_its_own_options_are_in_its_help(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    said = capsys.readouterr().out
-    assert all(option in said for option in ("--fleet FILE", "--pose X,Y,", "--with ID,ID", "--logs DIR"))

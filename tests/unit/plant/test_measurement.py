@@ -62,15 +62,6 @@ def test_noise_has_its_deviations_and_no_bias():
         assert stats.kstest(column / deviation, "norm").pvalue > 1e-3
 
 
-def test_noise_of_quantities_numbers_and_robots_is_independent():
-    made = fleet(NOISY)
-    one, two = errors(made, 1), errors(made, 2)
-    table = np.corrcoef(np.hstack([one, two]).T)
-    assert np.abs(table - np.eye(10)).max() < 4.5 / np.sqrt(COUNT)
-    for column in one.T:
-        assert abs(np.corrcoef(column[:-1], column[1:])[0, 1]) < 4.5 / np.sqrt(COUNT)
-
-
 def test_a_draw_depends_on_the_seed_and_the_number_alone():
     made = fleet(NOISY)
     measurement, _ = sensors(made)
@@ -79,21 +70,7 @@ def test_a_draw_depends_on_the_seed_and_the_number_alone():
     assert not np.array_equal(errors(made, count=50), errors(fleet(NOISY, seed=2), count=50))
 
 
-def test_one_noisy_quantity_leaves_the_others_exact():
-    measurement, _ = sensors(fleet(", heading_noise_rad = 0.1"))
-    told = measurement.measured(POSE, 0, 0)
-    assert told is not None
-    assert told == POSE._replace(heading=told.heading)
-    assert told.heading != POSE.heading
-
-
 # ---------------------------------------------------------------------- biases, jumps
-
-
-def test_biases_are_added():
-    place = "position_bias_m = [0.5, -0.25], heading_bias_rad = -0.5"
-    measurement, _ = sensors(fleet("", "{ " + place + " }"))
-    assert measurement.measured(POSE, 0, 0) == Pose(1.5, -2.25, 0.0, 0.3, -0.1)
 
 
 def test_jumps_are_of_their_length_and_share_in_every_direction():

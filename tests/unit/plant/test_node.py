@@ -18,12 +18,9 @@ from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.sequence_numbers import SequenceNumbers
 from handfast.agent.messages.types import (
     ACTS_PERIODS,
-    CHECK_TEXT_MIN,
-    CHECKS_MAX,
     FUTURE_NS_MAX,
     TEXT_MAX,
     Checks,
-    Faults,
     HandState,
     Mission,
     PlantState,
@@ -154,13 +151,6 @@ def test_what_the_vehicle_says_is_passed_on_once(node: PlantNode) -> None:
     assert again == StatusText(1, 2, T0 + 2 * PERIOD, "info", "armed")
 
 
-def test_brakes_until_it_has_a_wrench(node: PlantNode, backend: Backend):
-    told = state(node, T0)
-    assert backend.calls == [Call(T0, None)]
-    assert not told.driving
-    assert node.condition == ("braking", "no wrench yet")
-
-
 def test_obeys_a_fresh_wrench(node: PlantNode, backend: Backend):
     node.receive(T0, WRENCH_KEY, wrench(T0 - 1))
     told = state(node, T0)
@@ -218,11 +208,6 @@ def test_a_wrench_acts_no_longer_than_twice_what_it_is_meant_to(
             told = state(node, begin_ns + k * PERIOD)
             assert backend.calls[-1].command == (Command(3.0, 0.2) if k < acts else COAST)
             assert told.driving
-
-
-def test_a_wrench_that_is_stale_when_it_comes_does_nothing(node: PlantNode, backend: Backend):
-    node.receive(T0 + NS_PER_S, WRENCH_KEY, wrench(T0))
-    assert not state(node, T0 + NS_PER_S).driving
 
 
 def test_obeys_a_wrench_that_brakes(node: PlantNode, backend: Backend):
@@ -289,11 +274,6 @@ def test_a_body_that_its_operator_has_does_not_drive_whatever_the_wrench(node: P
     assert state(node, T0 + 2 * PERIOD).driving
 
 
-def test_a_note_is_cut_to_what_a_message_may_hold(node: PlantNode, backend: Backend):
-    backend.obeying, backend.note = False, "é" * TEXT_MAX
-    assert state(node, T0).note == "é" * (TEXT_MAX // 2 - 2) + "..."
-
-
 def test_ending_does_not_wait_for_a_body_that_somebody_else_drives(node: PlantNode, backend: Backend):
     backend.pose, backend.obeying = REST._replace(speed=0.5), False
     state(node, T0)
@@ -323,12 +303,6 @@ def test_a_mission_is_leave_to_drive_once(node: PlantNode, backend: Backend):
     assert not node.rejected
 
 
-def test_a_mission_for_another_fleet_file_is_no_leave_to_drive(node: PlantNode, backend: Backend):
-    node.receive(T0, MISSION_KEY, mission(1, "0123456789abcdef"))
-    assert backend.clearances == 0
-    assert dict(node.rejected) == {"digest": 1}
-
-
 @pytest.mark.parametrize("robots", [(), (1,), (2, 1)])
 def test_leave_to_resume_is_taken_once(node: PlantNode, backend: Backend, robots: tuple[int, ...]):
     node.receive(T0, RESUME_KEY, resume(7, *robots))
@@ -346,13 +320,6 @@ def test_leave_to_resume_for_others_is_not_for_this_one(node: PlantNode, backend
     assert not node.rejected
     node.receive(T0 + 1, RESUME_KEY, resume(7, 1))  # of another operator, who counts for himself
     assert backend.clearances == 1
-
-
-def test_old_leave_to_resume_is_refused(node: PlantNode, backend: Backend):
-    node.receive(T0, RESUME_KEY, resume(7))
-    node.receive(T0 + 1, RESUME_KEY, resume(6))
-    assert backend.clearances == 1
-    assert dict(node.rejected) == {"out_of_order": 1}
 
 
 @pytest.fixture
@@ -416,12 +383,6 @@ def test_of_a_body_that_its_operator_has_it_says_so_but_of_a_stop_first(node: Pl
     assert node.condition == ("braking", "stop: lunch")
 
 
-def test_a_simulated_body_takes_up_a_drive_that_goes_on(node: PlantNode, backend: Backend):
-    node.tick(T0 + 9 * NS_PER_S)
-    node.receive(T0 + 9 * NS_PER_S, MISSION_KEY, mission(4))
-    assert backend.clearances == 1
-
-
 def stop(version: int, reason: str = "") -> bytes:
     return encode(Stop(version, T0, reason))
 
@@ -467,41 +428,6 @@ def test_a_plant_that_starts_in_a_stop_does_not_drive(node: PlantNode):
     assert node.condition == ("braking", "stop")
 
 
-@pytest.mark.parametrize(
-    ("key", "payload"),
-    [
-        (MISSION_KEY, stop(7)),
-        (RESUME_KEY, stop(7)),
-        (STOP_KEY, resume(7)),
-        ("three/stop", stop(7)),
-        ("two/robot/2/told", stop(7)),
-    ],
-)
-def test_a_stop_on_another_key_is_none(node: PlantNode, key: str, payload: bytes):
-    node.receive(T0, key, payload)
-    node.receive(T0, WRENCH_KEY, wrench(T0))
-    assert state(node, T0).driving
-    assert dict(node.rejected) == {"wrong_key": 1}
-
-
-@pytest.mark.parametrize(
-    ("key", "payload"),
-    [
-        (MISSION_KEY, resume(7)),
-        (RESUME_KEY, mission(7)),
-        ("two/robot/1/resume", resume(7)),
-        ("three/resume", resume(7)),
-        (WRENCH_KEY, resume(7)),
-        (RESUME_KEY, wrench(T0)),
-        (CHECKS_KEY, encode(Checks(1, 0, T0, ()))),
-    ],
-)
-def test_leave_on_another_key_is_none(node: PlantNode, backend: Backend, key: str, payload: bytes):
-    node.receive(T0, key, payload)
-    assert backend.clearances == 0
-    assert dict(node.rejected) == {"wrong_key": 1}
-
-
 # ---------------------------------------------------------------------- checks
 
 GPS = Check("gps", "warning", "fix 3D", "wait for more satellites")
@@ -541,24 +467,6 @@ def test_checks_are_told_at_once_when_they_change_and_every_second(node: PlantNo
     assert checks(node, now) == Checks(1, 4, now, tuple(backend.told))
 
 
-def test_a_long_check_is_cut_to_what_a_message_may_hold(node: PlantNode, backend: Backend):
-    backend.told = [Check("x" * 300, "ok", "y" * 300, "z" * 300)]
-    told = checks(node, T0)
-    assert told is not None
-    assert told.lines == (("x" * 197 + "...", "ok", "y" * 197 + "...", "z" * 197 + "..."),)
-
-
-def test_of_more_checks_than_a_message_may_hold_the_worst_are_told(node: PlantNode, backend: Backend):
-    long = "y" * TEXT_MAX
-    fine = [Check(f"{k}", "ok", long, long) for k in range(CHECKS_MAX)]
-    backend.told = [*fine, GPS, *fine, MODE]
-    told = checks(node, T0)
-    assert told is not None
-    assert [line[:2] for line in told.lines[:3]] == [("mode", "blocking"), ("gps", "warning"), ("0", "ok")]
-    assert len(told.lines) == CHECKS_MAX
-    assert len(told.lines[-1][2]) == CHECK_TEXT_MIN
-
-
 # ---------------------------------------------------------------------- measurements
 
 
@@ -579,38 +487,6 @@ def test_truth_is_told_only_while_a_measurement_may_differ(robot: str, faults: s
     assert [key for key, _ in PlantNode(made, 1, from_fleet(made, 1)).tick(T0)] == told
 
 
-def test_measured_state_and_truth_differ_in_the_pose_alone(backend: Backend):
-    backend.pose = Pose(1.0, 2.0, 3.0, 0.0, 0.0)
-    node = PlantNode(fleet(faults="{ position_bias_m = [0.5, -0.25], heading_bias_rad = 0.125 }"), 1, backend)
-    (_, measured), (_, truth) = node.tick(T0)
-    told = decode(truth)
-    assert isinstance(told, PlantState)
-    assert told[3:8] == backend.pose
-    assert decode(measured) == told._replace(x=1.5, y=1.75, heading=3.125)
-
-
-def test_faults_of_measurements_hold_by_the_stamp_of_the_state(backend: Backend):
-    made = fleet(faults="{ robot = 1, at = 1, for = 1, heading_bias_rad = 0.5 }")
-    node = PlantNode(made, 1, backend)
-    node.receive(T0, MISSION_KEY, encode(Mission(1, T0, T0, 60 * NS_PER_S, digest(made))))
-    assert state(node, T0).heading == 0.0
-    assert state(node, T0 + NS_PER_S).heading == 0.0  # the reading is 7 ns older
-    assert state(node, T0 + NS_PER_S + PERIOD).heading == 0.5
-    assert state(node, T0 + 2 * NS_PER_S).heading == 0.5
-    assert state(node, T0 + 2 * NS_PER_S + PERIOD).heading == 0.0
-
-
-def test_live_faults_of_measurements_come_and_go(node: PlantNode):
-    assert [key for key, _ in node.tick(T0)] == [STATE_KEY]
-    rules = "[[faults.rule]]\nrobot = 1\njump_m = 1"
-    live = Faults(1, T0, "ana@lab:1", T0, NS_PER_S, rules)
-    node.receive(T0, key_expressions.faults("two"), encode(live))
-    assert TRUTH_KEY in [key for key, _ in node.tick(T0 + PERIOD)]
-    node.tick(T0 + 2 * PERIOD)
-    node.tick(T0 + NS_PER_S)  # finds that the lease is over
-    assert [key for key, _ in node.tick(T0 + NS_PER_S + PERIOD)] == [STATE_KEY]
-
-
 def test_ending_brakes_whatever_the_agent_says_and_is_done_at_rest(node: PlantNode, backend: Backend):
     node.receive(T0, WRENCH_KEY, wrench(T0))
     backend.pose = REST._replace(speed=0.5)
@@ -626,13 +502,6 @@ def test_ending_brakes_whatever_the_agent_says_and_is_done_at_rest(node: PlantNo
     assert not node.done
     backend.pose = REST
     state(node, T0 + 3 * PERIOD)
-    assert node.done
-
-
-def test_noise_does_not_keep_a_body_from_standing(backend: Backend):
-    node = PlantNode(fleet(", speed_noise_mps = 5"), 1, backend)
-    node.end()
-    assert abs(state(node, T0).speed) > 0.1
     assert node.done
 
 
@@ -685,29 +554,6 @@ def test_on_the_bus_a_plant_goes_by_its_agents_clock(node: PlantNode, backend: B
     after = state(node, now_ns + TIMEOUT + PERIOD)
     assert not after.driving
     assert node.condition == ("braking", "no fresh wrench for 0.13 s")
-
-
-def test_an_agent_that_starts_again_by_another_clock_is_obeyed(node: PlantNode):
-    node.runs_by(MachineClock(5, T1 - MONOTONIC))
-    node.receive(T1, WRENCH_KEY, wrench_by(MachineClock(5, T1 - MONOTONIC), T1 - 1))
-    assert state(node, T1).driving
-    now = T1 + PERIOD
-    node.receive(now, WRENCH_KEY, wrench_by(MachineClock(5, T1 - MONOTONIC - HOUR), now - HOUR, 1.0))
-    assert state(node, now).time_ns == now - 7 - HOUR
-    assert node.condition == ("driving", "")
-    # What the one before it sent, and comes late, is as old as it is.
-    node.receive(now, WRENCH_KEY, wrench_by(MachineClock(5, T1 - MONOTONIC), T1 - TIMEOUT - 1))
-    assert not state(node, now + PERIOD).driving
-
-
-@pytest.mark.parametrize(
-    "clock", [MachineClock(6, T1 - MONOTONIC - HOUR), MachineClock(5, T1 - MONOTONIC + 999)]
-)
-def test_a_plant_follows_neither_another_machines_clock_nor_a_hair(node: PlantNode, clock: MachineClock):
-    node.runs_by(MachineClock(5, T1 - MONOTONIC))
-    node.receive(T1, WRENCH_KEY, wrench_by(clock, T1))
-    assert state(node, T1).time_ns == T1 - 7
-    assert node.phase_ns == 0
 
 
 @pytest.mark.parametrize("ahead_ns", [HOUR, -HOUR])

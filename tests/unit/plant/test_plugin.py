@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from math import inf, nan
 from typing import Any
 
-import numpy as np
 import pytest
 
 from handfast.agent.common import plugins
@@ -18,7 +17,7 @@ from handfast.agent.common.settings import setting
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.loading import load_fleet
-from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.data_files import FLEETS
 from handfast.plant.backend import Begin, Check, Command, Plant, Reading, Setup
 from handfast.plant.plugin import LATE_STEPS, PluginBody, begin, begin_virtual
@@ -136,13 +135,6 @@ def test_a_good_one_is_left_alone() -> None:
     good.close()
 
 
-def test_numbers_of_numpy_become_plain_ones() -> None:
-    made, _ = body(lambda self, now, command: Reading(now, Pose(*np.ones(5, np.float32)), np.float64(1), 0))
-    reading = made.step(0, DRIVE)
-    assert {type(value) for value in (*reading.pose, reading.force, reading.torque)} == {float}
-    assert reading.healthy
-
-
 def test_a_vehicle_has_checks_and_a_stand_in() -> None:
     made = fleet("Real")
     assert made.robot(1).kind.vehicle
@@ -174,21 +166,6 @@ def test_a_vehicle_has_checks_and_a_stand_in() -> None:
 def test_one_that_cannot_be_made(name: str, says: str) -> None:
     with pytest.raises(PluginError, match=says):
         begin(fleet(name), 1, Begin(0))
-
-
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("Number", "Number: simulated = 5 is no class, but int: write class Mine(Plant), with from handfast"),
-        ("Text", 'Text: simulated = "bp:Nope" is no class, but str: write class Mine(Plant)'),
-        ("Other", "is no subclass of Plant: write class Ground(Plant), with from handfast import Plant"),
-    ],
-)
-def test_what_stands_for_it_is_a_plant(name: str, says: str) -> None:
-    with pytest.raises(FleetError) as refused:
-        fleet(name)
-    assert says in str(refused.value)
-    assert len(refused.value.problems) == 1
 
 
 def _cancelled(*_: object) -> Reading:
@@ -272,37 +249,6 @@ def test_a_step_that_fails(step: Callable[..., Any], says: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("now_ns", "stamp", "sent"),
-    [
-        (20_000_000, np.int64(19), 19),
-        (20_000_000, -30_000_000, 0),  # seen 50 ms late, and virtual time begins at 0
-        (20_000_000, 30_000_000, 30_000_000),  # of a clock that the step has read
-    ],
-)
-def test_times_that_a_message_holds(now_ns: int, stamp: Any, sent: int) -> None:
-    made, said = body(_stamped(lambda now: stamp))
-    reading = made.step(now_ns, DRIVE)
-    assert (reading.time_ns, type(reading.time_ns), said) == (sent, int, [])
-
-
-def test_what_is_said_of_a_reading_is_such_that_a_message_holds_it() -> None:
-    made, said = body(_said(note="no fix \udcff\n", healthy=np.bool_(False), obeying=np.bool_(True)))
-    reading = made.step(0, DRIVE)
-    assert (reading.healthy, reading.note, reading.obeying) == (False, "no fix \\udcff\\n", True)
-    assert type(reading.healthy) is bool
-    assert reading.asked is None
-    assert said == []
-
-
-def test_what_a_body_was_asked_for_last_is_passed_on_as_plain_numbers() -> None:
-    made, said = body(_said(asked=(np.float64(0.5), -1)))
-    asked = made.step(0, DRIVE).asked
-    assert asked == (0.5, -1.0)
-    assert list(map(type, asked)) == [float, float]
-    assert said == []
-
-
-@pytest.mark.parametrize(
     ("checks", "says"),
     [
         (5, "^Drag: checks returned 5, not a list of Check"),
@@ -320,12 +266,6 @@ def test_checks_that_are_none(checks: Any, says: str) -> None:
     assert said == [made.failed]
 
 
-def test_texts_of_checks_are_such_that_a_message_holds_them() -> None:
-    made, _ = body(_said())
-    made._plant.checks = lambda now_ns: [Check("radio", "warning", "\udcff")]  # type: ignore[method-assign]
-    assert list(made.checks(0)) == [Check("radio", "warning", "\\udcff")]
-
-
 def test_after_a_failure_it_is_only_asked_to_brake() -> None:
     asked: list[Command | None] = []
 
@@ -341,14 +281,6 @@ def test_after_a_failure_it_is_only_asked_to_brake() -> None:
     assert [reading.healthy for reading in readings] == [True, False, False, False]
     assert [reading.pose.x for reading in readings] == [0, 0, 2, 3], "it is seen again"
     assert len(said) == 1
-
-
-def test_other_methods_that_fail() -> None:
-    made, said = body(lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), 0, 0))
-    made._plant.clear_to_drive = _raises  # type: ignore[method-assign, assignment]
-    made.clear_to_drive()
-    assert said[0].startswith("Drag: clear_to_drive failed with RuntimeError: no wheel")
-    assert not made.step(0, None).healthy
 
 
 def test_steps_that_are_too_slow_are_named() -> None:

@@ -16,8 +16,6 @@ from hypothesis import strategies as st
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.loading import parse_fleet
-from handfast.deploy.console.data_files import FLEETS
-from handfast.plant.__main__ import main as plant
 from handfast.plant.backend import Check, Command, PlantBackend, Reading
 from handfast.plant.server import PersistentBody, PoseFile, PoseFileError
 from handfast.plant.unicycle import from_fleet
@@ -35,10 +33,6 @@ def test_a_body_stands_again_where_it_was(tmp_path: Path):
     again = from_fleet(FLEET, robot, PoseFile(file).place)
     assert again.pose == reading.pose._replace(speed=0.0, yaw_rate=0.0)
     assert again.pose != from_fleet(FLEET, robot).pose
-
-
-def test_nothing_is_known_of_a_new_file(tmp_path: Path):
-    assert PoseFile(tmp_path / "new").place is None
 
 
 def test_it_outlives_a_process_that_is_killed(tmp_path: Path):
@@ -90,16 +84,6 @@ def test_a_full_disk_is_told_at_the_start_and_kills_nobody(tmp_path: Path, monke
     with pytest.raises(PoseFileError, match="No space left on device") as caught:
         PoseFile(tmp_path / "new")
     assert caught.value.transient
-
-
-def test_a_full_disk_may_have_room_at_the_next_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.setattr(os, "pwrite", full)
-    arguments = ["--fleet", str(FLEETS / "pair.toml"), "--robot", "1"]
-    assert plant([*arguments, "--pose-file", str(tmp_path / "pose")]) == 1
-    assert "cannot use the pose file" in capsys.readouterr().err
-    assert plant([*arguments, "--pose-file", str(tmp_path)]) == 2
 
 
 def test_what_is_asked_of_the_body_reaches_it(tmp_path: Path):

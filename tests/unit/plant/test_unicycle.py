@@ -12,13 +12,11 @@ from scipy.integrate import solve_ivp
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Pose, advance
-from handfast.agent.fleet.loading import parse_fleet
-from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot
 from handfast.agent.messages.types import ACTS_PERIODS
 from handfast.plant import unicycle
-from handfast.plant.backend import Command, Reading
-from handfast.plant.unicycle import Actuator, Unicycle, from_fleet, integrate
+from handfast.plant.backend import Command
+from handfast.plant.unicycle import Actuator, Unicycle, integrate
 
 MASS, INERTIA = 10.0, 0.13
 PERIOD_S = 0.02
@@ -69,21 +67,6 @@ def test_fast_turns_are_integrated_in_small_steps(yaw_rate: float):
     )
 
 
-def test_a_turn_that_reverses_within_the_step():
-    pose = Pose(0.0, 0.0, 0.0, 1.0, 20.0)
-    torque = Actuator(0.0, -40.0 * INERTIA / 0.5, 0.0)  # from 20 to -20 rad/s
-    zero = Actuator(0.0, 0.0, 0.0)
-    assert integrate(pose, zero, torque, MASS, INERTIA, 0.5) == pytest.approx(
-        solved(pose, zero, torque, 0.5), rel=1e-9, abs=1e-9
-    )
-
-
-def test_a_circle_closes():
-    zero = Actuator(0.0, 0.0, 0.0)
-    after = integrate(Pose(1.0, 2.0, 0.0, 1.0, 2.0 * np.pi), zero, zero, MASS, INERTIA, 1.0)
-    assert (after.x, after.y, after.heading) == pytest.approx((1.0, 2.0, 2.0 * np.pi), abs=1e-9)
-
-
 @pytest.mark.parametrize("lag", [0.0, 0.05])
 def test_many_steps_are_one(lag: float):
     """A body that is stepped through the bus's ticks is where one long integration puts it."""
@@ -99,23 +82,7 @@ def test_many_steps_are_one(lag: float):
     assert reading.force == pytest.approx(Actuator(start, 12.0, lag).mean(PERIOD_S))
 
 
-def test_an_actuators_integral_is_its_integral():
-    for actuator in (Actuator(1.0, -2.0, 0.1), Actuator(0.0, 3.0, 0.0), Actuator(-1.0, 3.0, 2.0)):
-        t, h = 0.3, 1e-5
-        first = (actuator.first_integral(t + h) - actuator.first_integral(t - h)) / (2 * h)
-        assert first == pytest.approx(actuator.value(t), rel=1e-6)
-        assert actuator.first_integral(0.0) == 0.0
-    assert Actuator(1.0, -2.0, 0.1).value(0.0) == 1.0
-    assert Actuator(1.0, -2.0, 0.1).value(10.0) == pytest.approx(-2.0)
-
-
 # ---------------------------------------------------------------------- the backend
-
-
-def test_first_step_tells_where_it_starts():
-    body = Unicycle(BODY, PERIOD_S)
-    assert body.step(12345, None) == Reading(12345, Pose(1.0, -2.0, 0.5, 0.0, 0.0), 0.0, 0.0)
-    assert body.step(12345, None).pose == Pose(1.0, -2.0, 0.5, 0.0, 0.0)  # no time, no motion
 
 
 def test_a_command_acts_from_its_step_on():
@@ -128,13 +95,6 @@ def test_a_command_acts_from_its_step_on():
     assert third.pose.speed == pytest.approx(1.0)
 
 
-def test_time_never_runs_backwards_for_it():
-    body = Unicycle(BODY, PERIOD_S)
-    body.step(NS_PER_S, Command(10.0, 0.0))
-    before = body.step(2 * NS_PER_S, Command(10.0, 0.0)).pose
-    assert body.step(NS_PER_S, Command(10.0, 0.0)).pose == before
-
-
 @pytest.mark.parametrize(("asked", "given"), [(50.0, 8.0), (-50.0, -8.0), (3.0, 3.0)])
 def test_force_and_torque_are_limited(asked: float, given: float):
     body = Unicycle(replace(BODY, max_force_n=8.0, max_torque_nm=0.8), PERIOD_S)
@@ -143,11 +103,6 @@ def test_force_and_torque_are_limited(asked: float, given: float):
     after = body.step(NS_PER_S // 10, Command(0.0, 0.0)).pose
     assert after.speed == pytest.approx(0.1 * given / MASS)
     assert after.yaw_rate == pytest.approx(0.1 * given / 10.0 / INERTIA)
-
-
-def test_without_limits_it_takes_everything():
-    reading = Unicycle(BODY, PERIOD_S).step(0, Command(1e4, -1e3))
-    assert (reading.force, reading.torque) == (1e4, -1e3)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.001, 0.1])
@@ -254,34 +209,3 @@ def test_an_absurd_command_neither_stalls_it_nor_raises(
         if not all(map(isfinite, (*reading.pose, reading.force, reading.torque))):
             assert not reading.healthy
             assert reading.note
-
-
-def fleet_file() -> Fleet:
-    return parse_fleet(
-        """
-        robot = [{ id = 4, x_m = 1, y_m = 2, heading_rad = "90deg", position_noise_m = 0.1 },
-                 { id = 7, x_m = 3, y_m = 4 }]
-        fleet = { name = "two", seed = 5, rate_hz = 20 }
-        formation = { edges = [[4, 7]], distance_m = 1.0, safe_distance_m = 0.2 }
-        """,
-        source="here",
-    )
-
-
-def test_body_of_a_fleet_file():
-    fleet = fleet_file()
-    assert from_fleet(fleet, 4).step(0, None).pose == pytest.approx((1.0, 2.0, np.pi / 2, 0.0, 0.0))
-    assert from_fleet(fleet, 7).step(0, None).pose == Pose(3.0, 4.0, 0.0, 0.0, 0.0)
-
-
-def test_body_may_stand_elsewhere_than_in_the_fleet_file():
-    body = from_fleet(fleet_file(), 7, (5.0, -6.0, 0.7))
-    assert body.pose == body.step(0, None).pose == Pose(5.0, -6.0, 0.7, 0.0, 0.0)
-
-
-def test_pose_is_that_of_the_last_step():
-    body = Unicycle(BODY, PERIOD_S)
-    for tick in range(3):
-        reading = body.step(tick * NS_PER_S, Command(10.0, 0.1))
-        assert body.pose == reading.pose
-    assert body.pose.speed == pytest.approx(2.0)

@@ -164,18 +164,6 @@ def test_what_is_wrong_is_one_line(reference: str, says: str) -> None:
     assert "\n" not in text
 
 
-def test_python_names_that_are_not_ascii() -> None:
-    assert plugins.load("strange_things.größe:Weiß", GROUP).__name__ == "Weiß"
-    plugins.register("Weiß", PluginError)
-    assert plugins.load("Weiß", GROUP) is PluginError
-
-
-def test_a_class_that_cannot_be_looked_at() -> None:
-    hidden = plugins.load("strange_things.odd:Hidden", GROUP)
-    with pytest.raises(PluginError, match=r"ref: its section cannot be read: ValueError: meta section \(odd"):
-        plugins.section(hidden, "ref", ())
-
-
 @pytest.mark.parametrize("kind", [ValueError, SystemExit, asyncio.CancelledError, GeneratorExit])
 def test_whatever_code_of_others_raises_is_met(kind: type[BaseException]) -> None:
     def call() -> str:
@@ -192,30 +180,12 @@ def test_ctrl_c_is_not() -> None:
         plugins.attempt(call, lambda error: "met")
 
 
-def test_a_group_that_nobody_is_in() -> None:
-    with pytest.raises(PluginError, match=r'"spring"; no entry point is in handfast.nobody'):
-        plugins.load("spring", "handfast.nobody")
-
-
 def test_the_table_of_a_class() -> None:
     drag = plugins.load("strange_things.good:Drag", GROUP)
     entry = plugins.section(drag, "drag", ())
     assert entry is not None
     assert (entry.key, entry.hint, entry.setting.doc) == ("drag", drag.Settings, "How it slips.")
     assert plugins.section(PluginError, "none", ()) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("Melted", "Settings must be a class below @dataclass"),
-        ("Loose", "its Settings cannot be read: .*; write each field as"),
-        ("Odd", 'section = "Not A Name" is no name of a table: write for example section = "odd"'),
-    ],
-)
-def test_a_table_that_is_declared_wrongly(name: str, says: str) -> None:
-    with pytest.raises(PluginError, match=f"ref: .*{says}"):
-        plugins.section(plugins.load(f"strange_things.good:{name}", GROUP), "ref", ())
 
 
 class Colour(Enum):
@@ -249,26 +219,3 @@ def test_a_default_that_no_file_can_give_is_refused_by_class_and_field(plugin: t
         plugins.section(plugin, "ref", ())
     assert str(caught.value).startswith(f"ref: {says}")
     assert "\n" not in str(caught.value)
-
-
-def test_defaults_that_a_file_can_give() -> None:
-    for hint, default in ((float | None, None), (tuple[float, ...], ()), (Literal["a"], "a"), (float, 1)):
-        assert plugins.section(of_field(hint, default), "ref", ()) is not None
-
-
-def test_the_name_of_a_field_is_taken() -> None:
-    with pytest.raises(PluginError, match='section = "drag" is taken'):
-        plugins.section(plugins.load("drag", GROUP), "drag", ("drag",))
-
-
-def test_a_name_that_cannot_be_registered() -> None:
-    with pytest.raises(PluginError, match="a:b"):
-        plugins.register("a:b", PluginError)
-
-
-def test_an_exception_that_cannot_be_shown_is_named() -> None:
-    class Mute(Exception):
-        def __str__(self) -> str:
-            raise RuntimeError
-
-    assert plugins.blame(Mute()) == "Mute: an exception without a text"

@@ -10,7 +10,7 @@ import pytest
 
 from handfast.agent.common.models import build, plain
 from handfast.agent.common.reader import Reader
-from handfast.agent.common.settings import Setting, about, entries, setting
+from handfast.agent.common.settings import Setting, about, setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,50 +182,12 @@ def test_whole_numbers_are_integers_only(turns: object, ok: bool) -> None:
     assert ok or problems[0].startswith("motor.turns: must be a whole number")
 
 
-@pytest.mark.parametrize(
-    ("key", "text", "value"),
-    [
-        ("length_m", "35cm", 0.35),
-        ("length_m", " 35 cm ", 0.35),
-        ("length_m", "1.5e-3km", 1.5),
-        ("length_m", ".5m", 0.5),
-        ("share", "35%", 0.35),
-        ("tilt_rad", "90deg", math.pi / 2),
-        ("tilt_rad", "-180deg", -math.pi),
-    ],
-)
-def test_strings_with_units(key: str, text: str, value: float) -> None:
-    got, problems = frame(**{key: text})
-    assert problems == []
-    assert getattr(got, key) == value, "exactly: nobody should find 0.35000000000000003 in a resolved file"
-
-
-@pytest.mark.parametrize(
-    "text", ["", "cm", "1", "1e999m", "1 m m", "nanm", "infm", "0x1m", "1" * 100 + "m", "1M"]
-)
-def test_strings_that_are_no_quantity(text: str) -> None:
-    assert len(frame(length_m=text)[1]) == 1
-
-
-def test_minutes() -> None:
-    cart, problems = read({"frame": FRAME, "motor": {"lag_s": "0.1 min"}, "wheel": [{"id": 1}]})
-    assert problems == []
-    assert cart is not None
-    assert cart.motor.lag_s == 6.0
-
-
 def test_bounds_are_open_or_closed_as_they_say() -> None:
     assert Setting("", gt=0).admits(1e-300)
     assert not Setting("", gt=0).admits(0)
     assert Setting("", ge=0).admits(0)
     assert not Setting("", lt=10).admits(10)
     assert Setting("", le=10).admits(10)
-
-
-def test_minus_zero_is_zero() -> None:
-    got, _ = frame(tilt_rad=-0.0)
-    assert got is not None
-    assert math.copysign(1, got.tilt_rad) == 1
 
 
 @pytest.mark.parametrize(
@@ -335,19 +297,6 @@ def test_options_that_are_numbers(override: str, fields: dict[str, Any] | str) -
     assert of_filter({"filter": {}}, override) == fields
 
 
-def test_an_option_is_read_as_the_model_has_it() -> None:
-    read = of_filter({"filter": {"order": 2.0}})
-    assert isinstance(read, dict)
-    assert type(read["order"]) is int
-    assert of_filter({"filter": {"order": True}}) == "filter.order: must be one of 1, 2, got true"
-
-
-def test_the_last_override_wins() -> None:
-    cart, _ = read({"frame": dict(FRAME), "wheel": [{"id": 4}]}, "motor.turns=5", "motor.turns=6")
-    assert cart is not None
-    assert cart.motor.turns == 6
-
-
 @pytest.mark.parametrize(
     ("override", "problem"),
     [
@@ -380,23 +329,6 @@ def test_override_problems_are_placed_on_the_command_line(override: str, problem
     assert problems[0].startswith("--set ")
     assert problems[0].isprintable()
     assert problem is None or problems == [problem]
-
-
-def test_a_problem_is_placed_at_the_override_that_says_most_of_it() -> None:
-    overrides = ("wheel=[{id = 4, turns = 0}, {id = 7}]", "wheel.7.turns=0")
-    _, problems = read({"frame": dict(FRAME)}, *overrides)
-    assert [problem.split(": ")[0] for problem in problems] == ["--set wheel[1].turns", "--set wheel.7.turns"]
-
-
-def test_an_entry_without_an_id_has_none_to_be_addressed_by() -> None:
-    _, problems = read({"frame": dict(FRAME), "wheel": [{}]}, "wheel.None.turns=1")
-    assert problems[0].startswith("--set wheel.None.turns: there is no wheel with id None")
-
-
-def test_an_override_leaves_the_files_own_problems_in_the_file() -> None:
-    raw: dict[str, Any] = {"frame": 3, "wheel": [{"id": 4, "turns": 0}]}
-    _, problems = read(raw, "frame.length_m=1", "wheel.4.spoked=true")
-    assert [problem.split(": ")[0] for problem in problems] == ["frame", "wheel[1].turns"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,23 +410,6 @@ def test_an_entrys_table_is_that_of_the_defaults_but_for_what_it_says_itself() -
     assert convoy(plain(made)) == (made, [])
 
 
-def test_what_a_nested_table_must_give_may_come_from_the_defaults() -> None:
-    made, problems = convoy(
-        {
-            "truck_defaults": {"home": {"length_m": 5}},
-            "truck": [{"id": 1}, {"id": 2, "home": {"width_m": 2}}, {"id": 3, "home": {"length_m": 6}}],
-        }
-    )
-    assert problems == []
-    assert made is not None
-    assert [truck.home for truck in made.trucks] == [Depot(5.0), Depot(5.0, 2.0), Depot(6.0)]
-    missing = "home.length_m: is missing: write for example length_m = 1.0"
-    assert convoy({"truck": [{"id": 1, "home": {"width_m": 2}}]})[1] == [f"truck[1].{missing}"]
-    assert convoy({"truck_defaults": {"home": {"width_m": 2}}, "truck": TWO})[1] == [
-        f"truck_defaults.{missing}"
-    ]
-
-
 def test_one_entrys_table_is_not_anothers() -> None:
     raw = {"truck_defaults": {"radio": {"rate": 5}}, "truck": [{"id": 1}, {"id": 2}]}
     made, _ = convoy(raw, "truck.1.radio.port=x", "truck_defaults.radio.rate=6")
@@ -531,22 +446,6 @@ def test_what_is_wrong_in_a_nested_table_is_told_once_and_where_it_is(
     assert [problem.place for problem in reader.problems] == places
 
 
-def test_an_entry_does_not_take_the_models_default_for_a_default_with_a_problem() -> None:
-    """A check across fields would blame the entry for a value that nobody wrote."""
-    reader = Reader(Convoy)
-    raw = {"load_kg": -1, "radio": {"port": "A b", "rate": 5}}
-    values = reader.read(
-        {"truck_defaults": raw, "truck": [{"id": 1}, {"id": 2, "load_kg": 2, "radio": {"port": "a"}}]}
-    )
-    assert values["trucks"] == [
-        {"id": 1, "radio": {"rate": 5, "bands": (1, 2)}, "home": None},
-        {"id": 2, "load_kg": 2.0, "radio": {"port": "a", "rate": 5, "bands": (1, 2)}, "home": None},
-    ]
-    for wrong in ({"radio": 3}, 3):
-        values = reader.read({"truck_defaults": wrong, "truck": [{"id": 1}]})
-        assert "radio" not in values["trucks"][0]
-
-
 @pytest.mark.parametrize(
     ("override", "problem"),
     [
@@ -570,22 +469,3 @@ def test_an_entry_does_not_take_the_models_default_for_a_default_with_a_problem(
 )
 def test_overrides_in_nested_tables_that_are_wrong(override: str, problem: str) -> None:
     assert convoy({"truck": [{"id": 1}, {"id": 2}]}, override) == (None, [problem])
-
-
-def test_plain_is_what_was_read() -> None:
-    raw = {
-        "frame": {**FRAME, "place": [1, 2], "gaps_m": [1.0]},
-        "wheel": [{"id": 1, "spoked": True}],
-        "wheel_defaults": {"turns": 7},
-    }
-    cart, _ = read(raw)
-    table = plain(cart)
-    assert read(table) == (cart, [])
-    assert "wheel_defaults" not in table
-    assert "share" not in table["frame"], "None cannot be written"
-    assert table["wheel"] == [{"id": 1, "spoked": True, "lag_s": 0.1, "turns": 7}]
-    assert table["frame"]["gaps_m"] == [1.0]
-
-
-def test_own_fields_come_before_inherited_ones() -> None:
-    assert list(entries(Wheel)) == ["id", "spoked", "lag_s", "turns"]

@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.orders import ShapeSection
 from handfast.agent.fleet.sections import TrajectorySection
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.formation.mission_plan import Plan, mission_parts, plan_of
-from handfast.agent.formation.reference import KEPT_MAX, LEAVE_FADE_NS, WITHIN_MAX, Edge, Reference
+from handfast.agent.formation.reference import WITHIN_MAX, Edge, Reference
 from handfast.agent.messages.codec import Mark, tag
 from handfast.agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
@@ -39,7 +38,6 @@ def at(plan: Plan, share: float) -> int:
 
 
 JOIN = order("join", robot=7, edges=(2, 3), distance_m=1.0, over_s=4.0)
-JOIN_ELSEWHERE = order("join", robot=8, edges=(1, 4), distance_m=1.0, over_s=3.0)
 LEAVE = order("leave", robot=2, over_s=4.0)
 LARGER = order("reshape", scale=2.0, over_s=4.0)
 
@@ -75,18 +73,6 @@ def test_a_blend_comes_from_what_was_to_what_is():
     assert made.active(larger.from_ns) is larger
 
 
-def test_a_blend_within_a_blend_starts_from_the_blended_motion():
-    larger = changed(LARGER)
-    smaller = changed(order("reshape", scale=0.5, over_s=4.0), larger, at_s=12.0)
-    assert smaller.from_ns == at(larger, 0.5)
-    made, without = reference(FIRST, larger, smaller), reference(FIRST, larger)
-    assert made.motion(2, smaller.from_ns) == without.motion(2, smaller.from_ns)
-    assert made.motion(2, at(smaller, 1.0)) == pytest.approx(reference(FIRST).motion(2, at(smaller, 1.0)))
-    (edge, _), (was, _) = made.edges(2, at(smaller, 0.25)), without.edges(2, at(smaller, 0.25))
-    share = 10 / 4**3 - 15 / 4**4 + 6 / 4**5
-    assert edge.distance == pytest.approx((1 - share) * was.distance + share)
-
-
 def test_a_robot_that_joins_is_at_its_place_at_once_and_its_edges_come():
     join = changed(JOIN)
     made = reference(FIRST, join)
@@ -104,27 +90,6 @@ def test_a_robot_that_joins_is_at_its_place_at_once_and_its_edges_come():
     assert made.motion(2, at(join, 0.5)) == pytest.approx(reference(FIRST).motion(2, at(join, 0.5)))
 
 
-def test_edges_of_a_robot_that_leaves_are_gone_soon():
-    leave = changed(LEAVE)
-    made = reference(FIRST, leave)
-    assert made.motion(2, leave.from_ns) is None
-    assert made.edges(2, leave.from_ns) == ()
-    assert made.edges(1, leave.from_ns)[0] == Edge(2, 1.0, 1.0)
-    assert made.edges(1, leave.from_ns + LEAVE_FADE_NS // 2)[0] == Edge(2, 1.0, 0.5)
-    assert [edge.other for edge in made.edges(1, leave.from_ns + LEAVE_FADE_NS)] == [3, 4]
-    assert [edge.weight for edge in made.edges(1, leave.from_ns + LEAVE_FADE_NS)] == [1.0, 1.0]
-
-
-def test_an_edge_between_members_that_stay_goes_within_the_blend():
-    fewer = changed(
-        order("reshape", formation=ShapeSection(edges=((1, 2), (2, 3), (3, 4), (1, 4))), over_s=4.0)
-    )
-    made = reference(FIRST, fewer)
-    weights = [{e.other: e.weight for e in made.edges(1, at(fewer, s))}.get(3, 0) for s in (0, 0.5, 1)]
-    assert weights == [1.0, 0.5, 0.0]
-    assert made.edges(1, at(fewer, 0.999))[1].weight > 0.0
-
-
 def test_a_later_mission_for_an_earlier_time_takes_the_place_of_the_one_before():
     leave = changed(LEAVE, at_s=20.0)
     larger = changed(LARGER, at_s=15.0)
@@ -139,18 +104,6 @@ def test_a_later_mission_for_an_earlier_time_takes_the_place_of_the_one_before()
 
 def version(plan: Plan, number: int) -> Plan:
     return plan_of(plan.mission._replace(version=number), FLEET, GEOMETRY)
-
-
-@pytest.mark.parametrize("plans", [(0, 1, 2), (2, 1, 0), (1, 0, 2, 1), (2, 2, 0), (2,)])
-def test_in_whatever_order_missions_come_the_end_is_the_same(plans: tuple[int, ...]):
-    larger = changed(LARGER)
-    join = changed(JOIN, larger, at_s=12.0)
-    given = (FIRST, larger, join)
-    made, all_of_them = reference(*(given[k] for k in plans)), reference(*given)
-    assert made.plan is join
-    for robot in FLEET.ids:
-        assert made.motion(robot, at(join, 1.0)) == all_of_them.motion(robot, at(join, 1.0))
-        assert made.edges(robot, at(join, 1.0)) == all_of_them.edges(robot, at(join, 1.0))
 
 
 def test_of_two_missions_of_one_version_the_same_wins_whichever_comes_first():
@@ -221,24 +174,6 @@ def many(count: int, every_s: float, blend_s: float, before: tuple[Plan, ...] = 
     return plans
 
 
-def test_of_many_missions_only_the_latest_are_kept():
-    count = KEPT_MAX + 14
-    plans = many(count, 0.1, 2.0)
-    made = reference(*plans)
-    assert plans.index(made.active(EPOCH)) > 14  # what is older is forgotten
-    end_m = 1.0 + 0.1 * count
-    for k in range(200):
-        time_ns = plans[-1].from_ns + k * S // 50
-        motion = made.motion(2, time_ns)
-        assert motion is not None
-        x = FIRST.reference(time_ns)[0]
-        assert x + 1.0 < motion[0] <= x + end_m + 1e-9
-        assert [edge.other for edge in made.edges(2, time_ns)] == [1, 3]
-    assert made.motion(2, at(plans[-1], 1.0))[0] == pytest.approx(
-        FIRST.reference(at(plans[-1], 1))[0] + end_m
-    )
-
-
 @pytest.mark.parametrize(("every_s", "blend_s"), [(0.2, 4.0), (2.0, 1.5), (3.0, 60.0)])
 def test_however_many_changes_meet_each_other_the_motion_is_continuous(every_s: float, blend_s: float):
     """Below one that lasts for long."""
@@ -277,19 +212,6 @@ def test_what_is_left_of_many_changes_carries_nobody_far():
     assert max(hypot(ax, ay) for *_, ax, ay in samples) < 1.1 * FLEET.control.max_acceleration / 3.0
 
 
-def test_the_derivatives_of_what_is_left_of_many_changes_are_those_of_its_motion():
-    plans = many(WITHIN_MAX + 1, 0.1, 4.0)
-    made = reference(*plans)
-    for share in (0.05, 0.3, 0.6, 0.9):
-        time_ns, step_s = at(plans[-1], share), 1e-3
-        (x0, y0, *_), (x, y, vx, vy, ax, ay), (x1, y1, *_) = (
-            made.motion(2, time_ns + round(k * step_s * S)) for k in (-1, 0, 1)
-        )
-        assert ((x1 - x0) / (2 * step_s), (y1 - y0) / (2 * step_s)) == pytest.approx((vx, vy), abs=1e-5)
-        second = (x1 - 2 * x + x0) / step_s**2, (y1 - 2 * y + y0) / step_s**2
-        assert second == pytest.approx((ax, ay), abs=1e-3)
-
-
 # ---------------------------------------------------------------------- ways
 
 
@@ -301,14 +223,6 @@ def test_the_way_of_a_place_goes_to_the_end_of_the_mission():
     ]
     assert made.way(7, EPOCH + S) == []
     assert made.settled_ns == 0
-
-
-def test_of_several_missions_the_last_says_where_it_ends():
-    larger = changed(LARGER)
-    made = reference(FIRST, larger)
-    assert made.settled_ns == larger.from_ns + larger.blend_ns
-    end_ns = larger.mission.epoch_ns + larger.mission.duration_ns
-    assert made.way(2, made.settled_ns)[-1] == pytest.approx(made.motion(2, end_ns)[:2])
 
 
 def test_a_frozen_reference_heeds_no_later_mission():

@@ -15,7 +15,7 @@ from scipy import stats
 
 from handfast.agent.common import random_streams
 from handfast.agent.impairments import markov_chains
-from handfast.agent.impairments.delay_distributions import SHAPES, score
+from handfast.agent.impairments.delay_distributions import SHAPES
 from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
 
 COUNT = 100_000
@@ -129,34 +129,6 @@ def test_successive_delays_are_correlated_as_asked(name: str, correlation: float
     assert error < 0.01
 
 
-@pytest.mark.parametrize("lag", [1, 2, 5])
-@pytest.mark.parametrize("correlation", [0.3, 0.8])
-def test_scores_are_an_autoregressive_process(correlation: float, lag: int):
-    sample = np.array([score(STREAM, n, correlation) for n in SEQUENCES])
-    measured, error = lag_correlation(sample, lag)
-    assert abs(measured - correlation**lag) < ERRORS * error
-    assert abs(sample.var() - 1.0) < ERRORS * sqrt(2 * (1 + correlation**2) / (1 - correlation**2) / COUNT)
-
-
-@pytest.mark.parametrize("level", range(8))
-def test_scores_are_alike_wherever_in_the_construction_they_are(level: int):
-    """Those drawn first, midway and last: same variance, same correlation with the one before."""
-    correlation = 0.5
-    sample = np.array([score(STREAM, n, correlation) for n in SEQUENCES])
-    of_level = np.arange(FIRST, FIRST + COUNT) % 2 ** (level + 1) == 2**level
-    of_level[0] = False
-    here, before = sample[of_level], sample[np.flatnonzero(of_level) - 1]
-    assert abs(here.var() - 1.0) < ERRORS * sqrt(2.5 / len(here))
-    products = here * before
-    assert abs(products.mean() - correlation) < ERRORS * products.std() / sqrt(len(products))
-
-
-def test_delays_are_never_negative():
-    sample = delays("normal 10ms 20ms 50%")
-    assert sample.min() == 0.0
-    assert abs((sample == 0.0).mean() - stats.norm.cdf(-0.5)) < 0.01
-
-
 # --- events with a probability ----------------------------------------------------------------
 
 
@@ -187,11 +159,6 @@ def test_correlated_events_have_rate_and_correlation(kind: Any, probability: flo
     assert error < 0.01
 
 
-def test_independent_events_are_uncorrelated():
-    for flags in (losses("30%"), flags_of(Duplicate.parse("30%"))):
-        assert abs(lag_correlation(flags.astype(float))[0]) < ERRORS / sqrt(COUNT)
-
-
 @pytest.mark.parametrize("text", ["30%", "30% 60%"])
 def test_flipped_bits_are_anywhere_in_the_message(text: str):
     size = 40
@@ -201,18 +168,6 @@ def test_flipped_bits_are_anywhere_in_the_message(text: str):
     counts = np.bincount(found, minlength=8 * size)
     assert len(counts) == 8 * size
     assert stats.chisquare(counts).pvalue > P_MIN
-
-
-def test_reordering_takes_its_share_of_every_gap_th_message():
-    every_fifth = flags_of(Reorder.parse("gap 5"))
-    assert list(np.flatnonzero(every_fifth)[:2] + FIRST) == [FIRST + 3, FIRST + 8]  # (2^20 + 4) % 5 == 0
-    assert np.all(np.diff(np.flatnonzero(every_fifth)) == 5)
-    flags = flags_of(Reorder.parse("25% 50% gap 5"))
-    assert not np.any(flags & ~every_fifth)
-    candidates = flags[every_fifth].astype(float)
-    assert abs(candidates.mean() - 0.25) < ERRORS * batch_error(candidates)
-    measured, error = lag_correlation(candidates)
-    assert abs(measured - 0.5) < ERRORS * error
 
 
 # --- bursts of loss ---------------------------------------------------------------------------
@@ -230,21 +185,6 @@ def test_bursts_of_gilbert_elliott_are_geometric(p: float, r: float):
     assert abs(gaps.mean() - 1 / p) < ERRORS * sqrt(1 - p) / p / sqrt(len(gaps))
     assert geometric_pvalue(bursts, r) > P_MIN
     assert geometric_pvalue(gaps, p) > P_MIN
-
-
-def test_gilbert_elliott_loses_in_both_states():
-    """All four parameters: rate and correlation of the hidden Markov model at several lags."""
-    p, r, bad, good = 0.05, 0.2, 0.7, 0.02
-    loss = Loss.parse(f"gemodel {p} {r} {bad} {good}")
-    share = p / (p + r)
-    rate = share * bad + (1 - share) * good
-    flags = losses(str(loss))
-    assert loss.rate == pytest.approx(rate)
-    assert abs(flags.mean() - rate) < ERRORS * batch_error(flags)
-    covariance = share * (1 - share) * (bad - good) ** 2
-    for lag in (1, 2, 5):
-        measured, error = lag_correlation(flags.astype(float), lag)
-        assert abs(measured - covariance * (1 - p - r) ** lag / (rate * (1 - rate))) < ERRORS * error
 
 
 @pytest.mark.parametrize(
@@ -286,16 +226,6 @@ def test_every_n_th_is_exact(count: int):
     assert Loss.parse(f"every {count}").rate == pytest.approx(1 / count)
 
 
-def test_chains_do_not_break_where_their_bookkeeping_does():
-    """A plain chain that goes forward on the same uniform numbers is the same one."""
-    p, r = 0.002, 0.01
-    flags = losses(f"gemodel {p} {r}")
-    state = flags[0]
-    for k, n in enumerate(SEQUENCES[1:], 1):
-        state = random_streams.uniform(STREAM, 4 * n) < (1 - r if state else p)
-        assert flags[k] == state, n
-
-
 def test_each_state_follows_from_the_one_before_though_found_alone():
     rows: tuple[markov_chains.Row, ...] = (
         ((2, 0.05), (3, 0.02), (0, 1.0)),
@@ -312,12 +242,6 @@ def test_each_state_follows_from_the_one_before_though_found_alone():
         ends = np.cumsum([probability for _, probability in rows[before]])
         assert after == rows[before][int(np.argmax(random_streams.uniform(STREAM, 4 * n) < ends))][0], n
     assert set(states) == {0, 1, 2, 3}
-
-
-def test_chains_that_do_not_forget_are_stationary_all_the_same():
-    loss = Loss.parse("gemodel 0.001% 0.003%")
-    lost = sum(loss.lost(random_streams.stream("slow", k), FIRST + 100) for k in range(300))
-    assert abs(lost - 75) < ERRORS * sqrt(300 * 0.25 * 0.75)
 
 
 # --- links and purposes -----------------------------------------------------------------------

@@ -43,17 +43,6 @@ def test_live_rules_hold_from_their_origin_to_the_end_of_their_lease() -> None:
     assert [lost(plan, NOW + dt) for dt in (-1, 0, 2 * NS_PER_S - 1, 2 * NS_PER_S)] == [0, 1, 1, 0]
 
 
-def test_the_same_version_renews_the_lease() -> None:
-    plan = FaultPlan(fleet())
-    plan.take(live(), NOW)
-    assert plan.take(live(time_ns=NOW + NS_PER_S), NOW + NS_PER_S) is None
-    assert not plan.expire(NOW + 3 * NS_PER_S - 1)
-    assert lost(plan, NOW + 3 * NS_PER_S - 1) == 1
-    assert plan.expire(NOW + 3 * NS_PER_S)
-    assert plan.live == []
-    assert not plan.expire(NOW + 4 * NS_PER_S)
-
-
 def test_an_old_renewal_that_comes_late_shortens_no_lease() -> None:
     plan = FaultPlan(fleet())
     plan.take(live(time_ns=NOW + NS_PER_S), NOW + NS_PER_S)
@@ -90,13 +79,6 @@ def test_a_new_version_replaces_the_old_one_and_never_the_other_way_round() -> N
     assert lost(plan, NOW) == 0.2
 
 
-def test_an_empty_set_is_an_authors_end() -> None:
-    plan = FaultPlan(fleet())
-    plan.take(live(), NOW)
-    assert plan.take(live("", version=2), NOW) is None
-    assert lost(plan, NOW) == 0
-
-
 def test_newer_authors_win_and_live_rules_win_over_the_files() -> None:
     plan = FaultPlan(fleet('[[faults.rule]]\nlink = "1->2"\nloss = "5%"\n'))
     assert lost(plan, NOW) == 0.05
@@ -115,17 +97,6 @@ def test_of_two_authors_at_once_the_same_wins_everywhere() -> None:
         for message in order:
             plan.take(message, NOW)
         assert lost(plan, NOW) == 0.2
-
-
-def test_what_cannot_be_used_changes_nothing() -> None:
-    plan = FaultPlan(fleet())
-    plan.take(live(), NOW)
-    changes = plan.changes
-    assert plan.take(live("[[faults.rule", version=2), NOW) == "scenario"
-    assert plan.take(live(CUT.replace("1->2", "1->9"), version=2), NOW) == "scenario"
-    assert plan.take(live(version=2), NOW + 2 * NS_PER_S) == "expired"
-    assert plan.changes == changes
-    assert lost(plan, NOW) == 1
 
 
 def test_authors_are_bounded() -> None:
@@ -160,17 +131,6 @@ def test_sensors_clocks_and_ticks() -> None:
     assert plan.clock(1) == (0, 0.0)
     assert plan.clock(2) == (-100_000_000, 20e-6)
     assert FaultPlan(fleet()).sensor(1, NOW) is None
-
-
-def test_an_ended_set_does_not_come_back_and_takes_no_place() -> None:
-    plan = FaultPlan(fleet())
-    for number in range(AUTHORS_MAX):
-        author = f"author {number}"
-        assert plan.take(live(version=1, author=author), NOW) is None
-        assert plan.take(live("", version=2, author=author), NOW) is None
-        assert plan.take(live(version=1, author=author), NOW) == "out_of_order"
-    assert plan.live == []
-    assert plan.take(live(version=3, author="author 0"), NOW) is None
 
 
 def test_live_faults_are_rules_and_nothing_else() -> None:

@@ -12,7 +12,6 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.link_emulator import LinkEmulator
-from handfast.agent.links.timed_rules import NONE
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.sequence_numbers import FIRST_ROUND
 from handfast.agent.messages.types import (
@@ -27,7 +26,6 @@ from handfast.agent.messages.types import (
     TRACE_MAX,
     HandState,
     LinkTrace,
-    Wrench,
 )
 from handfast.agent.messages.validation import Malformed
 
@@ -180,12 +178,6 @@ def test_ten_thousand_waiting_messages_come_in_the_order_of_their_times_and_no_m
     assert times != sorted(due)  # the jitter did change the order of sending
 
 
-def test_the_limit_may_be_smaller() -> None:
-    to = links("", "faults.delay=10s", "faults.limit=5")
-    found = fates(to, range(8))
-    assert [found[number][0][0] for number in range(8)] == [0] * 5 + [LOST | OVERFLOW] * 3
-
-
 def test_a_trace_gives_delays_in_turn() -> None:
     to = links('[faults]\ndelay = "trace wifi"\n[[faults.trace]]\nname = "wifi"\ndelays = [0.01, -1, 0.03]\n')
     found = fates(to, range(FIRST_ROUND, FIRST_ROUND + 6))
@@ -209,22 +201,12 @@ def test_what_is_lost_is_a_function_of_the_seed_the_link_and_the_number() -> Non
     assert lost == {number for number in range(2000) if random_streams.uniform(stream, 4 * number) < 0.3}
 
 
-def test_every_third_is_lost() -> None:
-    found = fates(links("", "faults.loss=every 3"), range(9))
-    assert [bool(found[number][0][0] & LOST) for number in range(9)] == [False, False, True] * 3
-
-
 def test_a_duplicate_comes_as_well_with_a_delay_of_its_own() -> None:
     to = links("", "faults.duplicate=100%", "faults.delay=uniform 100ms 50ms")
     found = fates(to, range(50))
     assert all([what for what, _ in copies] == [0, DUPLICATED] for copies in found.values())
     assert sum(first == second for (_, first), (_, second) in found.values()) < 3
     assert len(to.due(EPOCH + 100 * NS_PER_S)) == 100
-
-
-def test_a_message_that_is_lost_and_doubled_comes_once() -> None:
-    found = fates(links("", "faults.duplicate=100%", "faults.loss=100%"), range(5))
-    assert all([what for what, _ in copies] == [0] for copies in found.values())
 
 
 def test_a_corrupted_message_is_found_by_the_codec() -> None:
@@ -278,13 +260,6 @@ def test_held_messages_come_together_when_the_fault_ends() -> None:
     assert all(entry[3] + entry[5] * 1000 == EPOCH + 2 * NS_PER_S for entry in found)
 
 
-def test_held_messages_are_bounded() -> None:
-    to = links("", "faults.hold=true", "faults.limit=20")
-    for number in range(50):
-        send(to, message(number))
-    assert [entry[4] for entry in entries(to)] == [LOST | OVERFLOW] * 30
-
-
 def test_out_of_range_is_out_of_hearing() -> None:
     to = links("", "faults.range=disc 5m")
     send(to, message(0, x=4.9), (0.0, 0.0))
@@ -293,31 +268,7 @@ def test_out_of_range_is_out_of_hearing() -> None:
     assert [entry[4] for entry in entries(to)] == [0, LOST | RANGE, 0]
 
 
-@pytest.mark.parametrize("loss", ["0%", "100%"])
-def test_out_of_range_no_copy_is_heard(loss: str) -> None:
-    to = links("", "faults.range=disc 5m", "faults.duplicate=100%", f"faults.loss={loss}")
-    send(to, message(0, x=5.1), (0.0, 0.0))
-    assert [entry[4] for entry in entries(to)] == [LOST | RANGE]
-
-
 # --- independence -----------------------------------------------------------------------------
-
-
-def test_another_links_rule_changes_no_fate() -> None:
-    alone = fates(links("", "faults.loss=20% 30%", "faults.delay=normal 80ms 20ms 25%"), range(300))
-    rule = '[[faults.rule]]\nlink = "3->2"\nloss = "gemodel 5% 20%"\ndelay = "pareto 10ms 5ms"\n'
-    both = links(rule, "faults.loss=20% 30%", "faults.delay=normal 80ms 20ms 25%")
-    for number in range(300):
-        send(both, message(number, robot=3))
-    assert fates(both, range(300)) == alone
-
-
-def test_another_effect_changes_no_draw() -> None:
-    lossy = fates(links("", "faults.loss=20%"), range(300))
-    both = fates(links("", "faults.loss=20%", "faults.delay=normal 80ms 20ms"), range(300))
-    assert {n for n, copies in lossy.items() if copies[0][0] & LOST} == {
-        n for n, copies in both.items() if copies[0][0] & LOST
-    }
 
 
 def test_messages_in_any_order_have_the_same_fate() -> None:
@@ -351,23 +302,12 @@ def when(rule: str, *, begun: bool = True) -> list[float]:
     return [number / 50 for number in range(500) if not send(to, message(number))]
 
 
-def test_a_rule_without_a_time_holds_always() -> None:
-    assert len(when("")) == 500
-    assert len(when("", begun=False)) == 500
-
-
 def test_a_rule_holds_from_its_start_up_to_its_end() -> None:
     times = when("at = 2\nfor = 3\n")
     assert times[0] == 2.0
     assert times[-1] == 4.98
     assert len(times) == 150
     assert when("at = 2\nfor = 3\n", begun=False) == []
-
-
-def test_a_link_flaps() -> None:
-    times = when('at = 2\nfor = "500ms"\nevery = 1\nuntil = 5\n')
-    assert len(times) == 75
-    assert all(2 <= time < 5 and time % 1 < 0.5 for time in times)
 
 
 def test_for_each_effect_the_first_rule_wins() -> None:
@@ -382,20 +322,6 @@ def test_for_each_effect_the_first_rule_wins() -> None:
     assert fates(to, range(100), robot=3)[60][0] == (0, 300_000)
 
 
-def test_topics_and_robots() -> None:
-    plan = FaultPlan(
-        fleet(
-            '[[faults.rule]]\nrobot = 1\ntopic = "wrench"\nloss = 1\n[[faults.rule]]\nrobot = 2\nloss = 1\n'
-        )
-    )
-    assert plan.rules_of_link(1, 1, "wrench").effects(0) is not NONE
-    assert plan.rules_of_link(2, 2, "wrench").idle
-    assert plan.rules_of_link(1, 1, "state").idle
-    assert not plan.rules_of_link(1, 2, "hand").idle
-    assert not plan.rules_of_link(2, 3, "hand").idle
-    assert plan.rules_of_link(1, 3, "hand").idle
-
-
 def test_an_injected_clock_error_changes_no_delay() -> None:
     clocks = (
         '[[faults.rule]]\nrobot = 1\nclock_skew = "100ms"\n[[faults.rule]]\nrobot = 2\nclock_skew = "-1s"\n'
@@ -406,15 +332,6 @@ def test_an_injected_clock_error_changes_no_delay() -> None:
     assert to.due(EPOCH - 1100 * MS + 49 * MS) == []
     assert len(to.due(EPOCH - 1100 * MS + 50 * MS)) == 1
     assert [entry[4:] for entry in entries(to)] == [(0, 50_000)]
-
-
-def test_wrenches_are_delayed_too() -> None:
-    plan = FaultPlan(fleet('[[faults.rule]]\nrobot = 1\ntopic = "all"\ndelay = "30ms"\n'))
-    to = LinkEmulator(plan, 1, {"wrench": (1,)})
-    wrench = Wrench(1, 5, EPOCH, 1.0, 0.0, False)
-    assert not to.take("key", encode(wrench), TOPICS.index("wrench"), wrench)
-    assert to.due(EPOCH + 29 * MS) == []
-    assert len(to.due(EPOCH + 30 * MS)) == 1
 
 
 # --- what is said -----------------------------------------------------------------------------

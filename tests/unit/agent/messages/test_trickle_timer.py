@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -34,15 +33,6 @@ def test_never_sooner_than_the_shortest_interval() -> None:
     assert said_at(TrickleTimer(LEAST, MOST), 900, tuple(range(0, 900, 100))) == [0, 200, 400, 600, 800]
 
 
-def test_an_interval_may_be_shortened_for_a_time() -> None:
-    timer = TrickleTimer(LEAST, MOST)
-    said_at(timer, 3100)
-    assert timer.next_ns == MOST
-    assert timer.said(4600, most_ns=700) == 700
-    assert timer.said(5300) == 1400
-    assert timer.said(6700, most_ns=1) == LEAST
-
-
 def test_each_has_its_share_of_the_intervals_until_they_are_as_long_as_they_get() -> None:
     assert said_at(TrickleTimer(LEAST, MOST, (0.5, 0.25)), 5000) == [0, 200, 600, 1200, 1600, 3200, 4800]
     assert said_at(TrickleTimer(LEAST, MOST, (1.0, 0.01)), 5000) == [0, 200, 600, 1400, 1600, 3200, 4800]
@@ -59,16 +49,6 @@ def test_of_some_changes_it_is_not_said_again_so_soon() -> None:
     timer.changed()
     timer.changed(800)
     assert timer.said(5600) == LEAST, "what is more urgent decides"
-
-
-def test_impossible_intervals_are_refused() -> None:
-    for shares in ((0.0, 1.0), (1.0, 1.1)):
-        with pytest.raises(ValueError, match="shares = "):
-            TrickleTimer(5, 5, shares)
-    with pytest.raises(ValueError, match="least_ns = 0"):
-        TrickleTimer(0, 5)
-    with pytest.raises(ValueError, match="most_ns = 4"):
-        TrickleTimer(5, 4)
 
 
 @given(

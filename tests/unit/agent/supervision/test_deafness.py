@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 
-import pytest
-
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.types import Beacon
 from handfast.agent.supervision.deafness import LATE_NS, PAUSE_MAX_NS, PAUSE_NS, SURE_NS, Deafness
@@ -125,15 +123,6 @@ def test_one_that_others_do_not_hear_either_is_not() -> None:
     assert bench.run(30, (3, 4), unheard=late) == []
 
 
-def test_nor_one_of_which_those_who_tell_cannot_know_yet() -> None:
-    """Who has just begun says of nobody that it does not hear it."""
-    bench = Bench(present=(2,))
-    bench.run(60, ())
-    bench.deafness.present(3, True)
-    late = bench.now_ns + HORIZON_NS
-    assert bench.run(30, (3,), unheard=lambda _: (2,) if bench.now_ns > late else ()) == []
-
-
 def test_alone_with_another_nothing_can_be_said() -> None:
     assert Bench().run(30, ()) == []
 
@@ -155,13 +144,6 @@ def test_one_that_is_listened_to_and_only_its_beacons_come_is_found() -> None:
     bench = Bench()
     assert bench.run(5, hands=(2,), listened=(2,)) == []
     assert bench.run(2.2, listened=(2,)) == [2]
-
-
-def test_one_that_has_not_been_listened_to_for_long_is_not() -> None:
-    bench = Bench()
-    bench.run(30)
-    assert bench.run(0.8, listened=(2,)) == []
-    assert bench.run(30, hands=(2,), listened=(2,)) == []
 
 
 def test_one_that_says_nothing_to_anybody_is_not() -> None:
@@ -202,21 +184,6 @@ def test_an_agent_to_which_nothing_of_a_neighbour_is_delivered_is_deaf_to_it():
     assert deaf(bench, 6) == {(1, 3)}
 
 
-@pytest.mark.parametrize("topology", ["mesh", "routed"])
-def test_behind_a_router_it_is_not_while_anybody_is_overloaded(topology: str):
-    bench = FleetBench(three(f'network.topology="{topology}"'))
-    meet(bench)
-    assert deaf(bench, 6) == set()
-    bench.cut = lambda key, node: node is bench.agents[1] and key.startswith("few/robot/3/")
-    found = set()
-    for _ in range(30):
-        for _ in range(8):  # the machine of robot 2
-            bench.agents[2].late(bench.now, NS_PER_S // 10)
-        found |= deaf(bench, 0.2)
-    assert found == ({(1, 3)} if topology == "mesh" else set())
-    assert deaf(bench, 6) == {(1, 3)}, "when it is over"
-
-
 def test_one_that_loses_them_by_a_rule_is_not():
     rule = 'faults.rule=[{ link = "3->1", loss = "100%" }, { link = "2->1", delay = "3s" }]'
     bench = FleetBench(three(rule))
@@ -225,47 +192,3 @@ def test_one_that_loses_them_by_a_rule_is_not():
     bench.run(3.0)
     assert bench.agents[1].state is not State.RUNNING, "the rules hold"
     assert deaf(bench, 12) == set()
-
-
-def test_nor_is_one_whose_neighbour_hangs():
-    bench = FleetBench(three())
-    meet(bench)
-    bench.run(5.0)
-    bench.cut = lambda key, _node: key.startswith("few/robot/3/")
-    assert deaf(bench, 12) == set()
-
-
-def test_who_may_be_silent_for_long_is_missed_after_twice_as_long() -> None:
-    bench = Bench()
-    bench.deafness = Deafness((2, 3, 4), HORIZON_NS, NS_PER_S)
-    bench.deafness.look(bench.now_ns)
-    for robot in (2, 3, 4):
-        bench.deafness.present(robot, True)
-    assert bench.run(2.0, listened=(2,)) == []
-    assert bench.run(1.0, listened=(2,)) == [2]
-
-
-def test_who_comes_near_again_is_not_missed_for_the_time_in_which_nobody_listened() -> None:
-    """Between two looks, which a process that stood leaves out, it goes and comes again."""
-    bench = Bench()
-    assert bench.run(5.0, hands=(2,), listened=(2,)) == []
-    for _ in range(10):
-        bench.deafness.listens((), bench.now_ns)
-        bench.now_ns += 2 * NS_PER_S
-        assert bench.run(0.2, listened=(2,)) == []
-        bench.now_ns += NS_PER_S // 2
-        bench.deafness.came(2, bench.now_ns, hand=True)
-
-
-def test_of_whom_only_beacons_come_from_the_first_look_on() -> None:
-    """What a node listens to when it is made has no time yet."""
-    deafness = Deafness((2,), HORIZON_NS)
-    deafness.listens((2,), 0)
-    deafness.present(2, True)
-    found = []
-    for k in range(20):
-        now_ns = T0 + k * STEP_NS
-        deafness.came(2, now_ns, hand=False)
-        found += [k * STEP_NS / NS_PER_S] * len(deafness.look(now_ns))
-    assert found
-    assert 1.0 < found[0] <= 1.7

@@ -10,11 +10,9 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
-from handfast.agent.messages.types import Ask, Mission, PlantState, Resume, Stop, Wrench
+from handfast.agent.messages.types import Ask, Mission, Resume, Stop, Wrench
 from handfast.agent.supervision.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from handfast.agent.supervision.state_machine import DRIVING, State
-from handfast.plant.node import PlantNode
 from tests.unit.agent.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
 
 T0 = 1000 * NS_PER_S
@@ -189,31 +187,6 @@ def test_an_agent_that_starts_again_is_told_the_mission_by_about_one_other(made:
     assert not any(agent.rejected for agent in bench.agents.values())
 
 
-def test_a_robot_that_missed_a_mission_is_told_it():
-    bench = FleetBench(three())
-    bench.drive()
-    known = bench.sayings(MISSION)[0]
-    assert isinstance(known, Mission)
-    bench.say(MISSION, known._replace(version=7), [bench.agents[2]])
-    bench.run(1.0)
-    assert {
-        agent._situation.mission.version for agent in bench.agents.values() if agent._situation.mission
-    } == {7}
-
-
-def test_a_robot_that_missed_a_stop_and_then_the_leave_is_told_them():
-    bench = FleetBench(three())
-    bench.drive()
-    bench.say(STOP, Stop(1, bench.now, "here"), [bench.agents[1], bench.plants[1]])
-    bench.run(1.0)
-    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.STOPPED}
-    assert all("stop: here" in plant.condition for plant in bench.plants.values())
-    bench.say(RESUME, Resume(2, bench.now, ()), [bench.agents[3]])
-    bench.run(3.0)
-    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
-    assert {plant.condition for robot, plant in bench.plants.items() if robot < 4} == {("driving", "")}
-
-
 def test_a_plant_that_missed_the_leave_is_told_it_by_its_agent():
     """Plants say of no orders which they know: an agent sees that its own does not obey."""
     bench = FleetBench(three())
@@ -239,14 +212,6 @@ def test_who_asks_is_told_all():
     bench.say(ASK, Ask(bench.now, "Ada"))
     bench.run(0.5)
     assert len(bench.told(Mission)) == len(bench.told(Stop)) == len(bench.told(Resume)) == 1
-
-
-def test_nothing_is_said_again_while_all_know_it():
-    bench = FleetBench(three())
-    bench.drive()
-    bench.said.clear()
-    bench.run(3.0)
-    assert not any(bench.told(kind) for kind in (Mission, Stop, Resume))
 
 
 def test_what_a_robot_learns_it_says_once_on_its_own_key_and_never_on_an_operators():
@@ -299,22 +264,6 @@ def test_a_robot_that_is_told_of_a_mission_hears_of_the_stop_first():
     assert not any(message.brake is False for message in bench.wrenches(2) if type(message) is Wrench)
 
 
-def test_a_plant_that_starts_again_is_told_the_mission_by_its_agent():
-    """There may be no operator any more; a bridge obeys nothing before it has heard of a mission."""
-    bench = FleetBench(three())
-    bench.drive()
-    bench.say(STOP, Stop(1, bench.now, "here"))
-    bench.run(1.0)
-    bench.plants[2] = PlantNode(bench.fleet, 2, bench.bodies[2])
-    bench.said.clear()
-    bench.run(0.2)
-    (state, *_) = bench.sayings(key_expressions.plant_state("few", 2))[-1:]
-    assert type(state) is PlantState
-    assert state.sequence >= FIRST_ROUND
-    assert bench.plants[2].condition == ("braking", "stop: here")
-    assert [robot for robot, _ in bench.told(Mission)] == [2]
-
-
 def two_of_one_version(bench: FleetBench) -> tuple[Mission, Mission]:
     first = bench.sayings(MISSION)[0]
     assert isinstance(first, Mission)
@@ -330,18 +279,6 @@ def two_of_one_version(bench: FleetBench) -> tuple[Mission, Mission]:
 
 def last_missions(bench: FleetBench) -> set[Mission | None]:
     return {agent._situation.mission for agent in bench.agents.values()}
-
-
-def test_two_operators_at_once_end_in_one_state():
-    bench = FleetBench(three())
-    bench.drive()
-    one, other = two_of_one_version(bench)
-    for robot, agent in bench.agents.items():
-        for mission in (one, other) if robot % 2 else (other, one):
-            bench.say(MISSION, mission, [agent])
-    bench.run(2.5)
-    assert last_missions(bench) in ({one}, {other})
-    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
 
 
 def test_two_operators_at_once_each_heard_by_some_end_in_one_state():

@@ -10,7 +10,7 @@ import pytest
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S
-from handfast.agent.messages.types import HandState, Status, Stop, Wrench
+from handfast.agent.messages.types import HandState, Stop, Wrench
 from handfast.agent.node import Node
 from handfast.agent.supervision.neighbour_trust import SLOWEST
 from handfast.agent.supervision.state_machine import DRIVING, State
@@ -130,31 +130,6 @@ def test_a_neighbour_that_comes_back_comes_back_without_a_bump(bench: FleetBench
     assert jumps(back) < 0.005
     faster = [b.slower - a.slower for a, b in pairwise(rows + back)]
     assert max(faster) <= PERIOD_S / TRUST_GAINED_S + 1e-9  # nor does its speed come back at once
-
-
-@pytest.mark.parametrize("bench", [("control.k2=5",)], indirect=True)
-def test_a_displaced_neighbour_that_comes_back_makes_no_jump(bench: FleetBench):
-    """It was pushed 0.3 m aside while nobody heard it: the edge pulls by and by."""
-    silence(bench, 3)
-    watch(bench, 4.0)
-    body = bench.bodies[3]
-    body._pose = body.pose._replace(y=body.pose.y + 0.3)
-    heal(bench)
-    back = watch(bench, 2.0)
-    assert jumps(back) < 0.003
-    assert max(hypot(*row.acceleration) for row in back) > 0.005  # it does pull
-
-
-def test_speed_comes_back_as_slowly_as_it_went(bench: FleetBench):
-    """A neighbour is heard again just before it is given up."""
-    silence(bench, 3)
-    slowed = watch(bench, HORIZON_S - 0.1)[-1].slower
-    heal(bench)
-    back = watch(bench, 2.0)
-    shares = [row.slower for row in back]
-    assert slowed < 0.5
-    assert all(b - a <= PERIOD_S / TRUST_GAINED_S + 1e-9 for a, b in pairwise(shares))
-    assert shares[-1] == 1.0
 
 
 def test_whom_it_may_not_have_heard_for_it_stood_itself_it_does_not_blame(bench: FleetBench):
@@ -308,26 +283,6 @@ def test_who_stands_on_a_machine_that_runs_late_is_said_to(bench: FleetBench):
     assert watch(bench, 1.0)[-1].reason.endswith("without robot 3 (does not follow, its machine runs late)")
 
 
-def test_whose_connection_is_lost_while_machines_run_late_may_be_late_alone(bench: FleetBench):
-    silence(bench, 3)
-    tell(bench, 3, False)
-    bench.agents[1]._overload.heard(3, 1, bench.now, NS_PER_S)
-    reason = watch(bench, 0.1)[-1].reason
-    assert reason.endswith("without robot 3 (no connection to its agent, its machine may run late)")
-
-
-def test_who_is_missed_is_named_once(bench: FleetBench):
-    """Robot 3 is heard again, has not said whom it hears, and does not follow."""
-    silence(bench, 2, 3)
-    assert watch(bench, 4.0)[-1].state is State.HOLDING
-    bench.say("few/stop", Stop(1, bench.now, ""), [bench.agents[3], bench.plants[3]])
-    unheard = [f"few/robot/{robot}/{what}" for robot in (2, 3) for what in ("beacon", "told")]
-    bench.cut = lambda key, _node: key in unheard
-    row = watch(bench, 0.1)[-1]
-    assert row.state is State.HOLDING
-    assert row.reason.count("robot 3") == 1
-
-
 def test_before_the_drive_a_neighbour_that_stands_ready_is_trusted_at_once():
     """At the epoch edges have their whole force: there is nothing to come back from."""
     bench = FleetBench(three())
@@ -350,15 +305,6 @@ def test_a_neighbour_with_a_wrong_clock_is_named():
         agent._peers.accept(state, bench.now)
     bench.step()
     assert agent.condition == ("waiting", "silent neighbours: robot 3 (its clock is 1.00 s ahead)")
-
-
-def test_ages_of_all_neighbours_are_told(bench: FleetBench):
-    silence(bench, 3)
-    watch(bench, 1.0)
-    status = [message for message in bench.sayings("few/robot/1/status") if isinstance(message, Status)][-1]
-    ages = {neighbour[0]: neighbour[1] for neighbour in status.neighbours}
-    assert ages[2] == PERIOD // 1000
-    assert 600_000 < ages[3] < 1_100_000
 
 
 # ---------------------------------------------------------------------- event-sent hand states

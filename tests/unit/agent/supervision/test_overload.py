@@ -144,25 +144,6 @@ def test_who_stands_decides_rarely_until_it_would_keep_the_rate_at_which_it_driv
     assert loop.overload.period_ns == 5 * PERIOD
 
 
-def test_it_counts_for_how_long_the_loop_stood() -> None:
-    """Not the ticks that begin a little late: a period and more at a time."""
-    loop = Loop()
-    loop.overload.late(NS_PER_S, PERIOD // 2)
-    assert loop.overload.counters() == {}
-    loop.overload.late(2 * NS_PER_S, PERIOD)
-    loop.overload.late(5 * NS_PER_S, 2 * NS_PER_S)
-    assert loop.overload.counters() == {"stood_ms": 2000 + PERIOD // 1_000_000}
-
-
-def test_a_few_long_gaps_are_none() -> None:
-    loop = Loop(steps=0)
-    for _ in range(10):
-        loop.run(1.2, in_time)
-        loop.run(0.02, lambda _: 20.0)
-        loop.run(0.02, lambda _: 20.0)
-    assert not any(level > 1 for _, level in loop.levels)
-
-
 def test_it_comes_back_when_the_load_is_gone() -> None:
     loop = Loop()
     loop.run(10.0, busy(0.2))
@@ -235,35 +216,6 @@ def test_the_greatest_that_is_heard_counts_for_a_while() -> None:
     loop.run(HEARD_NS / NS_PER_S, in_time)
     assert loop.overload.level == 0  # robot 3 has not said it again
     assert loop.overload.idle
-
-
-def test_who_wants_it_no_longer_is_still_named_for_the_level_that_is_gone_by() -> None:
-    """What comes late over a link comes after the look of a tick, and before its status."""
-    overload = Overload(STEPS, PERIOD, GAP)
-    for robot in (7, 5):
-        overload.heard(robot, 1, NS_PER_S, 0)
-    overload.look(NS_PER_S)
-    for robot in (5, 7):
-        overload.heard(robot, 0, NS_PER_S, 0)
-        assert overload.text(NS_PER_S).startswith("overloaded: the machine of robot 5 and 1 more runs late: ")
-    overload.look(NS_PER_S + PERIOD)
-    assert overload.text(NS_PER_S + PERIOD) == ""
-
-
-def test_what_is_said_rarely_holds_until_it_is_due_again() -> None:
-    loop = Loop()
-    loop.overload.heard(3, 1, loop.now, 10 * NS_PER_S)
-    loop.run(10.0 + HEARD_NS / NS_PER_S - 0.1, in_time)
-    assert loop.overload.level == 1
-    loop.run(0.3, in_time)
-    assert loop.overload.level == 0
-
-
-def test_what_others_want_beyond_what_there_is_is_the_most_there_is() -> None:
-    loop = Loop(steps=1)
-    loop.overload.heard(3, 16, loop.now, 0)
-    loop.run(0.1, in_time)
-    assert loop.overload.level == 3
 
 
 def test_nobody_hears_his_own_wish_back() -> None:

@@ -70,13 +70,6 @@ def test_in_the_middle_of_a_mission_all_is_well() -> None:
     assert conditions[:9] == ("",) * 9
 
 
-def test_before_all_else_a_plant_is_waited_for() -> None:
-    made, _ = situation()
-    made.check_plant(NOW)
-    assert made.conditions(NOW, State.WAITING).plant == "for its plant"
-    assert made.conditions(NOW, State.WAITING).mission == "for a mission"
-
-
 @pytest.mark.parametrize(
     ("later_s", "changes", "trouble"),
     [
@@ -268,14 +261,6 @@ def test_neighbours_to_begin_with_are_no_matter_of_a_robot_that_drives() -> None
         assert made.conditions(NOW, state).all_well
 
 
-def test_what_trust_says_is_passed_on() -> None:
-    made, trust = driving()
-    trust.hold, trust.degraded = "hears none", "slower: robot 2"
-    conditions = made.conditions(NOW, State.RUNNING)
-    assert (conditions.hold, conditions.degraded) == ("hears none", "slower: robot 2")
-    assert not conditions.all_well
-
-
 def test_a_mission_of_before_the_start_waits_for_somebodys_word() -> None:
     made, _ = driving()
     made.may_go_on = False
@@ -284,16 +269,6 @@ def test_a_mission_of_before_the_start_waits_for_somebodys_word() -> None:
     made.may_go_on = True
     conditions = made.conditions(NOW, State.READY)
     assert (conditions.started, conditions.mission) == (True, "")
-
-
-def test_a_stop_that_is_not_on_the_disk_says_so() -> None:
-    made, _ = driving()
-    made.unkept = "not on its disk: no space left on device"
-    assert made.conditions(NOW, State.RUNNING).stop == ""
-    made.latch.accept_stop(Stop(NOW, NOW, "lunch"))
-    assert made.conditions(NOW, State.RUNNING).stop == (
-        "stop: lunch; not on its disk: no space left on device"
-    )
 
 
 def test_a_plant_that_may_have_spoken_while_the_own_process_stood_is_not_lost() -> None:
@@ -313,28 +288,6 @@ def test_a_plant_that_may_have_spoken_while_the_own_process_stood_is_not_lost() 
     assert made.conditions(later, State.RUNNING).plant == made.plant_trouble
 
 
-def test_a_plant_that_is_silent_on_a_machine_that_runs_late_is_told_with_that() -> None:
-    """It is not known which of both it is."""
-    made, _ = driving()
-    made._overload.late(NOW + 100_000_000, 60_000_000)
-    made._overload.wanted = 1
-    made.check_plant(NOW + NS_PER_S)
-    assert made.plant_trouble == "plant silent for 1.00 s, overloaded: this machine ran late by 0.06 s"
-
-
-def test_a_plant_that_is_silent_for_less_than_the_own_process_stood_lately_is_told_with_that() -> None:
-    """All processes of a machine that stood wake one after the other."""
-    made, _ = driving()
-    woken = NOW + 3 * NS_PER_S
-    made._overload.late(woken, 2 * NS_PER_S)
-    made.accept_plant(plant(time_ns=woken), woken)
-    made.check_plant(woken + 350_000_000)
-    assert made.plant_trouble == "plant silent for 0.35 s, overloaded: this machine ran late by 2 s"
-    made.accept_plant(plant(time_ns=woken + 5 * NS_PER_S), woken + 5 * NS_PER_S)
-    made.check_plant(woken + 5 * NS_PER_S + 350_000_000)
-    assert made.plant_trouble == "plant silent for 0.35 s", "that is long ago"
-
-
 def test_what_of_a_plant_waited_for_the_own_process_is_not_late_nor_its_clock_behind() -> None:
     made, _ = driving()
     later = NOW + 2 * NS_PER_S
@@ -346,22 +299,3 @@ def test_what_of_a_plant_waited_for_the_own_process_is_not_late_nor_its_clock_be
     made.accept_plant(plant(time_ns=NOW + NS_PER_S), later + NS_PER_S)
     made.check_plant(later + 3 * NS_PER_S)
     assert made.plant_trouble == "plant silent for 4.00 s"
-
-
-def test_a_heartbeat_that_may_have_come_meanwhile_is_not_missing() -> None:
-    made, _ = driving("supervision.deadman_s=0.5")
-    made.heartbeat_ns = NOW
-    later = NOW + NS_PER_S
-    assert made.conditions(later, State.RUNNING).hold == "no operator's heartbeat for 1.0 s"
-    made._overload.late(later, 900_000_000)
-    assert made.conditions(later, State.RUNNING).hold == "overloaded: this machine ran late by 0.9 s"
-
-
-def test_a_lower_rate_is_said_beside_what_else_is_the_matter() -> None:
-    made, trust = driving()
-    trust.degraded = "0.31 m from the geofence"
-    made._overload.heard(2, 1, NOW, 0)
-    assert made._overload.look(NOW)
-    degraded = made.conditions(NOW, State.RUNNING).degraded
-    assert degraded.startswith("overloaded: the machine of robot 2 runs late")
-    assert degraded.endswith("; 0.31 m from the geofence")

@@ -50,13 +50,6 @@ def test_only_the_edge_law_overcorrects_and_only_where_edges_share_robots():
     assert largest("joint", TRIANGLE) < 1.0
 
 
-def test_sweeps_are_the_joint_laws_alone():
-    geometry = resolve(TRIANGLE)
-    radius = {name: of(name).sweep_radius(geometry, 50.0) for name in COUPLINGS}
-    assert 0.9 < radius.pop("joint") < 1.0
-    assert set(radius.values()) == {0.0}
-
-
 @pytest.mark.parametrize("rate_hz", [0.5, 1.0, 1.5, 2.0, 3.0, 10.0, 50.0])
 @pytest.mark.parametrize("kp", [0.0, 1.0, 3.0])
 def test_sweeps_are_stable_whose_largest_eigenvalue_is_below_1(rate_hz: float, kp: float):
@@ -88,15 +81,3 @@ def test_powers_die_away_of_a_matrix_whose_eigenvalues_are_all_below_1(
     if abs(_radius(matrix) - 1.0) < 1e-9:
         return
     assert _dies_away(matrix) == (_radius(matrix) < 1.0)
-
-
-def test_what_each_says_of_itself():
-    said = {name: (of(name).title, of(name).remark(3)) for name in COUPLINGS}
-    assert said["joint"] == ("joint multipliers", "")
-    assert said["edge"][0] == "edge by edge"
-    assert "not proved stable for 3 robots" in said["edge"][1]
-    assert (of("edge", kp=0.0).title, of("edge").remark(2)) == ("edge by edge, the paper's", "")
-    assert said["penalty"][0] == "potential field"
-    assert "yardstick" in said["penalty"][1]
-    assert [name for name in COUPLINGS if COUPLINGS[name].bounded] == ["joint"]
-    assert np.isfinite(of("joint").gains).all()

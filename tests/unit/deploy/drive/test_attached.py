@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from handfast.agent.messages.key_expressions import ROLES
-from handfast.deploy.drive.attached import NAMED_MAX, Attached
+from handfast.deploy.drive.attached import Attached
 from handfast.deploy.faults.process_actions import Action
 from tests.unit.agent.fleet.test_hosts import fleet as hosts_fleet
 from tests.unit.deploy.orders.order_fleets import square
@@ -36,25 +36,6 @@ def test_who_goes_and_comes_back_is_said_and_warned_of() -> None:
     assert made.up(*AGENT)
     assert made.lacking(FLEET.ids) == []
     assert made.warnings == ["No connection to robot 2's agent from 5.0 s to 7.2 s"]
-
-
-def test_before_the_drive_nobody_is_warned_of() -> None:
-    made = there()
-    assert made.look(ALL - {AGENT}, None) == ["no connection to robot 2's agent"]
-    assert made.look(ALL, -0.3) == ["-0.3 s: connected again: robot 2's agent"]
-    made.look(ALL - {AGENT}, -0.2)
-    made.look(ALL, -0.1)
-    assert made.warnings == []
-    made.look(ALL - {AGENT}, None)
-    assert made.lacking(FLEET.ids) == ["No connection to robot 2's agent."]
-
-
-def test_when_all_go_at_once_some_are_named() -> None:
-    made = there()
-    (line,) = made.look(frozenset(), 1.0)
-    assert line.startswith("1.0 s: no connection to robot 1's agent, robot 1's plant, robot 2's agent, ")
-    assert line.endswith(f" and {len(ALL) - NAMED_MAX} more")
-    assert len(made.lacking(FLEET.ids)) == len(ALL)
 
 
 def test_who_has_no_place_any_more_is_a_warning() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from handfast.agent.messages.types import Mission, Resume, Stop
-from handfast.deploy.drive.news import AGAIN_NS, CHANGED, ORDERED, SENTENCES_MAX, Happening, News
+from handfast.deploy.drive.news import AGAIN_NS, CHANGED, ORDERED, Happening, News
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square("fleet.duration_s=60")
@@ -17,17 +17,6 @@ def news(*states: tuple[int, str]) -> News:
         made.state(robot, state, "")
     assert made.sentences(None) == []
     return made
-
-
-def test_a_start_and_an_end_are_no_news() -> None:
-    made = news((1, "ready"), (7, "standby"))
-    made.state(1, "running", "")
-    assert made.sentences(0.1) == []
-    made.state(7, "standby", "in reserve")
-    assert made.sentences(5.0) == []
-    for state in ("stopping", "stopped"):
-        made.state(1, state, "the mission is over")
-        assert made.sentences(60.1) == []
 
 
 def test_what_a_vehicle_says_again_and_again_is_told_once() -> None:
@@ -89,16 +78,6 @@ def test_robots_in_trouble_are_told_together_and_once() -> None:
     assert made.sentences(9.0) == ["9.0 s: robots 1, 2 and 3 are back: running"]
 
 
-def test_an_agent_that_started_again_in_mid_drive() -> None:
-    made = news((1, "ready"))
-    made.state(1, "running", "")
-    made.sentences(1.0)
-    made.state(1, "waiting", "for its plant")
-    assert made.sentences(3.0) == ["3.0 s: robot 1 is waiting: for its plant"]
-    made.state(1, "running", "")
-    assert made.sentences(3.5) == ["3.5 s: robot 1 is back: running"]
-
-
 def test_a_stop_in_mid_drive_and_its_end() -> None:
     made = news((1, "ready"))
     made.state(1, "running", "")
@@ -108,31 +87,6 @@ def test_a_stop_in_mid_drive_and_its_end() -> None:
     assert made.sentences(3.5) == ["3.5 s: robot 1 is stopped: stop: a person"]
     made.state(1, "running", "")
     assert made.sentences(9.0) == ["9.0 s: robot 1 is back: running"]
-
-
-def test_many_changes_at_once_are_counted() -> None:
-    made = news()
-    for robot in range(1, SENTENCES_MAX + 4):
-        made.state(robot, "degraded", "x" * robot)
-    said = made.sentences(2.0)
-    assert len(said) == SENTENCES_MAX + 1
-    assert said[-1] == "2.0 s: and 3 more changes of state"
-
-
-def test_many_that_are_late_by_as_many_times_are_one_sentence() -> None:
-    made = news()
-    for robot in range(1, 54):
-        made.state(
-            robot,
-            "holding",
-            f"overloaded: this machine ran late by 0.{robot + 10} s: stands until it does not",
-        )
-    made.state(60, "degraded", "without robot 2")
-    assert made.sentences(4.3) == [
-        "4.3 s: 53 robots (1-53) are holding: overloaded: this machine ran late by 0.11 to 0.63 s: stands "
-        "until it does not",
-        "4.3 s: robot 60 is degraded: without robot 2",
-    ]
 
 
 def test_what_happened_is_told_with_its_kind_and_its_robots_once() -> None:
@@ -150,12 +104,3 @@ def test_what_happened_is_told_with_its_kind_and_its_robots_once() -> None:
     ]
     assert made.happenings(7.1) == []
     assert made.sentences(7.1) == []
-
-
-def test_of_many_changes_the_rest_is_a_happening_of_no_robot() -> None:
-    made = news()
-    for robot in range(1, SENTENCES_MAX + 3):
-        made.state(robot, "degraded", "x" * robot)
-    *some, rest = made.happenings(2.0)
-    assert [each.robots for each in some] == [(robot,) for robot in range(1, SENTENCES_MAX + 1)]
-    assert rest == Happening(CHANGED, "and 2 more changes of state")

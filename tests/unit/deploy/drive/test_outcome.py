@@ -8,26 +8,12 @@ from typing import cast
 
 import pytest
 
-from handfast.agent.messages.types import Mission, PlantState
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.outcome import conclude, finish
 from handfast.deploy.report.run_folder import NotDrawn, RunFolder
 from handfast.deploy.verdict.run_result import RunResult
-from tests.unit.deploy.judged_run import body, recorded
-from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, standing
-
-
-def test_the_headline_names_the_closest_of_any_two(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Robot 3 passes robot 1; only 1-2 and 2-3 are edges, and these stay 1 m long."""
-    line = make_fleet([(0, 0), (1, 0), (2, 0)], [(1, 2), (2, 3)])
-    ways = standing(0, 0), standing(1, 0), lambda t: (0.0 if abs(t - 1) < 0.001 else 2.0, 0.1, 0.0)
-    result = RunResult(recorded(line, messages(line, [body(way, 0.1) for way in ways])))
-    assert conclude(result, tmp_path) == 1
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == "FAILED"
-    assert ", closest 0.100 m (1-3), " in said[-2]
+from tests.unit.deploy.judged_run import recorded
+from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages
 
 
 def test_where_figures_cannot_be_written_the_verdict_is_said_and_how_to_make_them(
@@ -70,26 +56,3 @@ def test_figures_of_a_drive_that_was_cut_short_say_of_what_they_are(
     one = [each for each in early if getattr(each[2], "robot", 1) == 1]
     cut = said(RunResult(recorded(pair, one, interrupted=True)), tmp_path, capsys)
     assert cut[-2].startswith("  of the first 0.8 s of 2 s and 1 of 2 robots: formation ")
-
-
-def test_where_no_drive_was_there_are_no_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Ctrl-C while processes start: robots were where they were put, however near each other that is."""
-    pair = make_fleet([(0, 0), (3, 0)], [(1, 2)])
-    ways = [body(standing(x, 0), 0.1) for x in (0, 2)]
-    sent = [each for each in messages(pair, ways, state="waiting") if type(each[2]) is not Mission]
-    told = said(RunResult(recorded(pair, sent, interrupted=True)), tmp_path, capsys)
-    assert told[:2] == [
-        "FAILED",
-        "  No mission was recorded: the fleet was never told to start, so it did not drive.",
-    ]
-    assert not any("closest" in line or "had not settled" in line for line in told), told
-    before = [
-        (
-            EPOCH_NS - 1,
-            key,
-            message._replace(time_ns=EPOCH_NS - 1) if type(message) is PlantState else message,
-        )
-        for _, key, message in messages(pair, in_formation(pair))
-    ]
-    told = said(RunResult(recorded(pair, before[:8], interrupted=True)), tmp_path, capsys)
-    assert not any("closest" in line for line in told), "its mission was to begin a moment later"

@@ -19,26 +19,6 @@ def battery(percent: int) -> Line:
     return Line("battery", "warning" if percent < 30 else "ok", f"{percent} %", "charge it soon")
 
 
-def test_marks_and_words() -> None:
-    found = {1: [LINK, battery(20)], 2: [LINK, MODE, battery(88)], 12: [LINK, MODE, EKF, battery(90)]}
-    assert matrix(found, 80) == [
-        "check     1   2  12",
-        "link      .   .   .",
-        "battery   !   .   .",
-        "mode          !   !",
-        "EKF               X",
-        LEGEND,
-        "X robot 12: EKF: waiting for its EKF to have a position (give it open sky)",
-        "! robot 1: battery: 20 % (charge it soon)",
-        "! robots 2 and 12: mode: MANUAL (its operator puts it into GUIDED)",
-    ]
-
-
-def test_of_two_lines_of_one_check_the_worse_counts() -> None:
-    found = {1: [EKF, EKF._replace(level="ok")], 2: [EKF._replace(level="ok"), EKF]}
-    assert matrix(found, 80)[1] == "EKF    X  X"
-
-
 @pytest.mark.parametrize("width", [60, 80, 140])
 def test_forty_five_vehicles_fit(width: int) -> None:
     found = {robot: [LINK, MODE, battery(10 + robot)] for robot in range(1, 46)}

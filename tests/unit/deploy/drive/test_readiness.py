@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from handfast.agent.messages.types import PlantState, Status
-from handfast.deploy.drive.readiness import in_words, is_ready, may_begin, stands, waits
+from handfast.deploy.drive.readiness import is_ready, may_begin, stands, waits
 
 
 def status(state: str, reason: str = "") -> Status:
@@ -58,14 +58,3 @@ def test_who_stands_after_a_stop_may_begin_if_its_body_could_drive():
     assert not may_begin(None, plant)
     assert may_begin(status, taken, stands_by=True)
     assert waits((3,), {3: status}, {3: taken}, may_begin) == {3: "its operator has it: MANUAL"}
-
-
-def test_of_many_who_wait_for_different_things_the_first_few_are_named():
-    found = in_words({robot: f"its body is {'x' * robot}" for robot in range(1, 101)})
-    assert found.startswith("robot 1: its body is x; robot 2: ")
-    assert found.endswith("; robot 8: its body is xxxxxxxx; and 92 more robots")
-
-
-def test_many_who_wait_for_others_that_differ_in_their_numbers_alone_are_one():
-    found = in_words({robot: f"silent neighbours: robot {robot + 1}" for robot in range(1, 101)})
-    assert found == "100 robots (1-100): silent neighbours: 100 robots (2-101)"

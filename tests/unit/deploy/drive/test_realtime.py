@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
 import sys
 from dataclasses import replace
@@ -18,8 +16,8 @@ from handfast.agent.runtime.realtime_granted import SCHED_FIFO, Granted, Thread
 from handfast.deploy.cli import main
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.drive import realtime
-from handfast.deploy.drive.preflight import is_simulated, show, summary, to_json
-from handfast.deploy.drive.realtime import RECORDING_NICE, in_words, lines, trial
+from handfast.deploy.drive.preflight import summary
+from handfast.deploy.drive.realtime import RECORDING_NICE, lines, trial
 from handfast.deploy.drive.vehicle_checks import OK, WARNING, Line
 from handfast.deploy.processes.protocol import FleetProcesses
 
@@ -78,29 +76,6 @@ def test_what_both_are_refused_is_one_line_and_blocks_nothing() -> None:
     assert summary({1: [line]}) == "CLEAR, with 1 warning"
 
 
-def test_it_is_said_once_of_all_and_not_twelve_times() -> None:
-    (refused,) = in_words(fleet(), all_have(REFUSED, REFUSED))
-    assert refused.startswith(
-        "warning: robots 1, 2, 3, 4, 5 and 6: realtime: cores 0-1, memory locked; SCHED"
-    )
-    assert refused.count("limits.d") == 1
-    agents, plants, bad = in_words(fleet(), all_have(AGENT, PLANT) | {(3, "plant"): REFUSED})
-    assert agents == "robots 1, 2, 3, 4, 5 and 6: realtime agent: SCHED_FIFO 41, cores 0-1, memory locked"
-    assert plants.startswith("robots 1, 2, 4, 5 and 6: realtime plant: SCHED_FIFO 42")
-    assert bad.startswith("warning: robot 3: realtime plant: ")
-
-
-def test_a_robot_of_which_only_that_is_said_is_simulated_still() -> None:
-    found = {1: [Line("realtime", OK, "SCHED_FIFO 41", "")], 2: [Line("link", OK, "system 1", "")], 3: []}
-    assert [is_simulated(each) for each in found.values()] == [True, False, True]
-    assert [row["simulated"] for row in json.loads(to_json("x", found))["robots"]] == [True, False, True]
-    stream = io.StringIO()
-    show(found, stream)
-    assert (
-        "robot 1: realtime: SCHED_FIFO 41\nrobots 1 and 3  simulated: nothing to check\n" in stream.getvalue()
-    )
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has it")
 def test_a_trial_asks_as_a_process_would() -> None:
     found = trial(replace(ASKED, cpus=(0,)))
@@ -108,13 +83,6 @@ def test_a_trial_asks_as_a_process_would() -> None:
     for each in found.values():
         assert each is not None
         assert each.cpus == (0,)
-
-
-def test_a_trial_that_cannot_be_is_no_grant(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(realtime, "TRIAL", "no.such.module")
-    assert trial(ASKED) == {"agent": None, "plant": None}
-    (warning,) = in_words(fleet(), all_have(None, None))
-    assert warning.startswith("warning: ")
 
 
 def test_preflight_says_what_this_machine_grants_where_it_is_asked_for(
@@ -215,33 +183,6 @@ def test_whose_scheduling_somebody_changes_in_a_drive_is_named_once(
     assert watch.look(12.0) == []
 
 
-def test_what_is_changed_again_is_said_again() -> None:
-    there = Looked()
-    watch = realtime.Watch(fleet(), cast(FleetProcesses, there))
-    watch.begin()
-    there.found = there.found | {(2, "agent"): has(SCHED_RR, 7)}
-    assert len(watch.look(11.0)) == 1
-    there.found = there.found | {(2, "agent"): AGENT}
-    assert watch.look(12.0) == [
-        "The agent of robot 2 has SCHED_FIFO 41 now, which somebody changed from SCHED_RR 7"
-    ]
-
-
-def test_nobody_looks_at_a_fleet_that_does_not_ask_for_it() -> None:
-    there = Looked()
-    watch = realtime.Watch(load_fleet(FLEETS / "delta.toml"), cast(FleetProcesses, there))
-    assert watch.begin() == watch.look(10.0) == []
-    assert there.looks == 0
-
-
-def test_what_the_kernel_may_have_killed_is_said_so_where_it_can_be() -> None:
-    killed = "killed by SIGKILL"
-    hint = "the kernel kills one in real time that runs for 3 s"
-    assert realtime.ended(fleet(), killed).startswith(f"{killed}; {hint}")
-    assert realtime.ended(load_fleet(FLEETS / "delta.toml"), killed) == killed
-    assert realtime.ended(fleet(), "exit status 1") == "exit status 1"
-
-
 @pytest.fixture
 def niceness(monkeypatch: pytest.MonkeyPatch) -> dict[int, int]:
     """What threads of this process have, as the kernel would keep it of one that may do anything."""
@@ -257,24 +198,3 @@ def test_the_command_that_records_a_fleet_in_real_time_goes_before_others_meanwh
     with realtime.recording(fleet()):
         assert niceness[os.getpid()] == RECORDING_NICE
     assert set(niceness.values()) == {0}
-
-
-def test_of_another_fleet_it_does_not(niceness: dict[int, int]) -> None:
-    with realtime.recording(replace(fleet(), process=ProcessSection())):
-        assert niceness == {}
-
-
-def test_one_that_was_put_further_ahead_stays_there(niceness: dict[int, int]) -> None:
-    niceness[os.getpid()] = RECORDING_NICE - 5
-    with realtime.recording(fleet()):
-        assert niceness[os.getpid()] == RECORDING_NICE - 5
-    assert niceness[os.getpid()] == RECORDING_NICE - 5
-
-
-def test_where_the_kernel_refuses_it_the_drive_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: int) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(os, "setpriority", refuse)
-    with realtime.recording(fleet()):
-        pass

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
@@ -11,8 +9,8 @@ from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Checks, PlantState, Status
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.drive.preflight import Found, columns, death, passed, show, summary, to_json
-from handfast.deploy.drive.readiness import in_words, may_begin, waits
+from handfast.deploy.drive.preflight import Found, death, passed, summary, to_json
+from handfast.deploy.drive.readiness import may_begin, waits
 from handfast.deploy.drive.vehicle_checks import SETTLE_NS, Line, VehicleChecks
 
 ROVERS = load_fleet(FLEETS / "rovers.toml", ["robot.6.plant=unicycle"])
@@ -55,10 +53,6 @@ def test_a_fleet_is_complete_when_all_its_vehicles_have_spoken() -> None:
     fleet = Fleet()
     assert fleet.complete
     assert (fleet.refusals, fleet.checks.waits(), fleet.checks.warnings()) == ([], {}, [])
-
-
-def test_fleets_without_vehicles_are_complete() -> None:
-    assert VehicleChecks(load_fleet(FLEETS / "pair.toml")).complete(T0)
 
 
 def test_what_waits_is_waited_for_and_no_reason_to_refuse() -> None:
@@ -133,17 +127,6 @@ def test_what_is_no_vehicles_or_old_changes_nothing(key: str, robot: int, time_n
     assert fleet.checks.lines(3) == (Line(*LINK),)
 
 
-def test_warnings_of_many_are_said_once() -> None:
-    fleet = Fleet()
-    for robot in (1, 2, 5):
-        fleet.says(robot, LINK, OFF)
-    fleet.says(4, ("GPS", "warning", "5 satellites", ""))
-    assert fleet.checks.warnings() == [
-        "robots 1, 2 and 5: FS_GCS_ENABLE: 0: off (set 1)",
-        "robot 4: GPS: 5 satellites",
-    ]
-
-
 # --- why a fleet does not start ------------------------------------------------------------------
 
 
@@ -174,11 +157,6 @@ def test_those_that_only_wait_for_others_are_not_named() -> None:
     assert waits((4,), statuses, plants, may_begin) == {}
 
 
-def test_robots_that_wait_for_the_same_are_named_together() -> None:
-    found = {1: "waiting for its GPS", 2: "mode MANUAL, not GUIDED", 4: "waiting for its GPS"}
-    assert in_words(found) == "robots 1 and 4: waiting for its GPS; robot 2: mode MANUAL, not GUIDED"
-
-
 # --- the table -----------------------------------------------------------------------------------
 
 FOUND: Found = {1: [Line(*LINK), Line(*OFF)], 2: [Line(*LINK), Line(*FAR)], 6: []}
@@ -190,33 +168,6 @@ def test_a_blocking_line_is_what_fails() -> None:
     assert summary(FOUND) == "BLOCKED: robot 2: origin"
     assert summary({1: FOUND[1], 6: []}) == "CLEAR, with 1 warning"
     assert summary({6: []}) == "CLEAR"
-
-
-def test_plain_output_has_columns() -> None:
-    assert columns(FOUND[1]) == [
-        "  line           level    found     what to do",
-        "  link           ok       system 1",
-        "  FS_GCS_ENABLE  warning  0: off    set 1",
-    ]
-    out = io.StringIO()
-    show(FOUND, out, each=True)
-    lines = out.getvalue().splitlines()
-    assert [line for line in lines if not line.startswith(" ")] == [
-        "robot 1",
-        "robot 2",
-        "robot 6  simulated: nothing to check",
-        "BLOCKED: robot 2: origin",
-    ]
-
-
-def test_a_terminal_shows_brackets_as_they_are() -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    out = Terminal()
-    show(FOUND, out)
-    assert "[datum]" in out.getvalue()
 
 
 def test_other_programs_get_all_of_it() -> None:

@@ -21,7 +21,6 @@ from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, o
 
 FLEET = square()
 FIRST = first_plan(FLEET)
-NO_EDGES = square("formation.edges=[]", "control.max_speed_mps=0.5")
 
 
 def plan_after(what: OrderSection, plan: Plan = FIRST, fleet: Fleet = FLEET, **rest: Any) -> Plan:
@@ -87,30 +86,6 @@ def test_over_s_is_the_blend():
 # --- join -------------------------------------------------------------------------------------
 
 
-def test_who_joins_by_two_distances_stands_away_from_the_others():
-    mission, plan = after(order("join", robot=7, edges=(3, 2), distance_m=(1.0, 1.0)), FIRST, FLEET)
-    assert plan.offsets[7] == pytest.approx((1.0 + sqrt(0.75), 0.5))
-    assert (plan.edges[2, 7], plan.edges[3, 7]) == (1.0, 1.0)
-    assert plan.members == (1, 2, 3, 4, 7)
-    assert mission.note == "robot 7 joins (edges to 3 and 2)"
-
-
-def test_who_joins_without_distances_takes_the_mean_of_those_there_are():
-    mean = (4 + sqrt(2)) / 5
-    mission, plan = after(order("join", robot=7, edges=(3,)), FIRST, FLEET)
-    assert plan.edges[3, 7] == pytest.approx(mean)
-    assert plan.offsets[7] == pytest.approx((1.0 + mean / sqrt(2), 1.0 + mean / sqrt(2)))  # outwards
-    assert mission.note == "robot 7 joins (edge to 3)"
-
-
-def test_who_joins_at_a_place_takes_the_distances_from_there():
-    plan = plan_after(order("join", robot=7, edges=(2, 3), offset_m=(2.0, 0.0)))
-    assert (plan.edges[2, 7], plan.edges[3, 7]) == (1.0, sqrt(2))
-    assert after(order("join", robot=8, edges=(), offset_m=(3.0, 0.0)), plan, FLEET)[0].note == (
-        "robot 8 joins (no edges)"
-    )
-
-
 def test_who_joins_by_three_distances_has_one_place():
     wanted = (1.7, 0.4)
     ends = (1, 2, 4)
@@ -118,18 +93,6 @@ def test_who_joins_by_three_distances_has_one_place():
     plan = plan_after(order("join", robot=8, edges=ends, distance_m=distances))
     assert dist(plan.offsets[8], wanted) < 0.02
     assert tuple(plan.edges[end, 8] for end in ends) == distances
-
-
-def test_who_joins_a_single_robot_stands_beside_it():
-    alone = FIRST
-    for robot in (2, 3, 4):
-        alone = plan_after(order("leave", robot=robot), alone)
-    assert (alone.members, alone.edges) == ((1,), {})
-    plan = plan_after(order("join", robot=7, edges=(1,), distance_m=0.8), alone)
-    assert plan.offsets == {1: (0.0, 0.0), 7: (0.8, 0.0)}
-    assert refused(order("join", robot=7, edges=(1,)), alone) == (
-        "where robot 7 is to be is not known: give offset_m or distance_m"
-    )
 
 
 @pytest.mark.parametrize(
@@ -251,28 +214,6 @@ def test_a_body_without_a_place_is_removed_and_nothing_else_changes():
     assert rows(plan) == {7: 10.0, 8: 10.0}
 
 
-def test_earlier_removals_are_kept_and_a_second_one_has_its_own_time():
-    plan = plan_after(order("remove", robots=(7, 8)), at_s=10.0)
-    plan = plan_after(order("remove", robots=(2,)), plan, at_s=20.0)
-    assert rows(plan) == {2: 20.0, 7: 10.0, 8: 10.0}
-    plan = plan_after(order("remove", robots=(7,)), plan, at_s=30.0)
-    assert rows(plan) == {2: 20.0, 7: 30.0, 8: 10.0}
-    early = plan_after(order("remove", robots=(7,)), plan, at_s=29.0)  # of an operator whose clock is behind
-    assert rows(early)[7] > 30.0
-
-
-def test_other_orders_keep_who_was_removed():
-    plan = plan_after(order("remove", robots=(8, 2)), at_s=10.0)
-    for what in (
-        order("join", robot=7, edges=(3,), distance_m=1.0),
-        order("leave", robot=7),
-        order("replace", robot=3, by=7),
-        order("reshape", scale=1.5),
-    ):
-        plan = plan_after(what, plan, at_s=20.0)
-        assert rows(plan) == {2: 10.0, 8: 10.0}
-
-
 @pytest.mark.parametrize(
     "what",
     [order("join", robot=2, edges=(1,), distance_m=1.0), order("replace", robot=3, by=2)],
@@ -345,36 +286,6 @@ def test_a_removal_that_cuts_the_graph_says_so():
 # --- reshape ----------------------------------------------------------------------------------
 
 
-def test_new_places_bring_their_distances():
-    offsets = ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (0.0, 1.0))
-    mission, plan = after(order("reshape", formation=ShapeSection(offsets=offsets)), FIRST, FLEET)
-    assert tuple(plan.offsets.values()) == offsets
-    assert list(plan.edges) == list(FIRST.edges)
-    assert list(plan.edges.values()) == pytest.approx([3.0, 1.0, 3.0, 1.0, sqrt(10)])
-    assert mission.note == "new places"
-
-
-def test_new_edges_keep_the_distances_that_stay():
-    plan = plan_after(order("reshape", scale=1.5))
-    stretched = order("reshape", formation=ShapeSection(distance_m=(1.51, 1.5, 1.5, 1.5, 2.12)))
-    plan = plan_after(stretched, plan)
-    mission, plan = after(order("reshape", formation=ShapeSection(edges=((2, 1), (2, 4)))), plan, FLEET)
-    assert plan.edges == {(1, 2): 1.51, (2, 4): pytest.approx(1.5 * sqrt(2), rel=0.01)}
-    assert mission.note == "new edges"
-
-
-def test_new_distances_are_met_near_the_old_places():
-    diagonal = 1.2
-    distances = (1.0, 1.0, 1.0, 1.0, diagonal)  # the square becomes a rhombus
-    mission, plan = after(order("reshape", formation=ShapeSection(distance_m=distances)), FIRST, FLEET)
-    for (i, j), distance in plan.edges.items():
-        assert dist(plan.offsets[i], plan.offsets[j]) == pytest.approx(distance, rel=1e-6)
-    centre = [sum(place[k] for place in plan.offsets.values()) / 4 for k in (0, 1)]
-    assert centre == pytest.approx([0.5, 0.5])
-    assert all(dist(plan.offsets[robot], FIRST.offsets[robot]) < 0.2 for robot in plan.members)
-    assert mission.note == "new distances"
-
-
 def test_scale_makes_all_of_it_larger():
     mission, plan = after(order("reshape", scale=1.5), FIRST, FLEET)
     assert plan.offsets[3] == (1.5, 1.5)
@@ -426,17 +337,6 @@ def test_what_cannot_be_the_new_formation_is_told_why(what: OrderSection, said: 
     assert refused(what).startswith(said)
 
 
-def test_distances_that_need_a_whole_graph_say_so():
-    apart = plan_after(order("reshape", formation=ShapeSection(edges=((1, 2), (3, 4)))))
-    # From where they are each pair is stretched by itself.
-    stretched = plan_after(order("reshape", formation=ShapeSection(distance_m=2.0)), apart)
-    assert dist(stretched.offsets[1], stretched.offsets[2]) == pytest.approx(2.0)
-    alone = order(
-        "reshape", formation=ShapeSection(edges=((1, 2), (2, 3), (1, 3)), distance_m=(1.0, 1.0, 5.0))
-    )
-    assert refused(alone).endswith(": give formation.offsets")
-
-
 def test_a_new_line_goes_on_from_where_the_formation_is():
     """Half way through the blend: so it goes from one velocity to the other without overtaking itself."""
     line = TrajectorySection("line", velocity_mps=(0.0, -0.5))
@@ -462,13 +362,6 @@ def test_what_the_blend_makes_too_far_or_too_long_to_be_sent_is_refused(monkeypa
     monkeypatch.setattr("handfast.agent.messages.codec.MISSION_BYTES_MAX", size - 1)
     monkeypatch.setattr("handfast.agent.messages.codec.BYTES_MAX", size - 1)
     assert refused(order("reshape", trajectory=other)).startswith("the new mission cannot be sent: oversized")
-
-
-def test_a_circle_and_waypoints_are_where_they_are_given():
-    circle = TrajectorySection("circle", centre_m=(1.0, 2.0), radius_m=2.0, speed_mps=0.4)
-    plan = plan_after(order("reshape", trajectory=circle, scale=1.2))
-    assert plan.reference(plan.from_ns)[:2] == (3.0, 2.0)
-    assert plan.mission.note == "reshaped: 1.2 times the size and trajectory (circle)"
 
 
 # --- length of the blend ----------------------------------------------------------------------

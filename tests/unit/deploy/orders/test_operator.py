@@ -198,42 +198,6 @@ def test_who_missed_a_stop_or_leave_is_told_again() -> None:
     assert made.wanted(standing, {**PLANTS, 2: plant(2, driving=False)}, up) == []
 
 
-def test_it_is_behind_when_agents_know_of_more() -> None:
-    made = operator()
-    assert not made.behind
-    made.hear(key_expressions.status("square", 1), status(1, made.mission_version + 1, 0))
-    assert made.behind
-    other = operator()
-    other.hear(key_expressions.status("square", 1), status(1, 0, 7))
-    assert other.behind
-    other.hear(STOP, Stop(7, EPOCH, ""))
-    assert not other.behind
-
-
-def test_who_tells_of_more_is_known_as_far_as_it_can_be() -> None:
-    made = operator()
-    most = US + AHEAD_US_MAX
-    made.hear(key_expressions.status("square", 1), status(1, most + 1, most + 1))
-    assert made.ahead(EPOCH) == []
-    assert made.behind, "it is asked for all the same"
-    made.hear(key_expressions.status("square", 2), status(2, 0, most))
-    made.hear(key_expressions.beacon("square", 3), Beacon(3, 1, EPOCH, True, *[0.0] * 5, most, 0, 0, -1))
-    made.hear(key_expressions.status("square", 1), status(4, most, most))  # of another robot
-    made.hear(key_expressions.status("square", 99), status(99, most, most))
-    assert made.ahead(EPOCH) == [2, 3]
-    made.hear(key_expressions.status("square", 3), status(3))  # it has started again, and knows nothing
-    assert made.ahead(EPOCH) == [2]
-    made.hear(STOP, Stop(most, EPOCH, ""))
-    assert made.ahead(EPOCH) == []
-
-
-def test_a_version_that_cannot_be_changes_none() -> None:
-    made = operator()
-    made.hear(key_expressions.status("square", 1), status(1, US + AHEAD_US_MAX + 1, US + AHEAD_US_MAX + 1))
-    made.hear(key_expressions.status("square", 2), status(2, 0, US + 7))
-    assert made.order_stop(EPOCH, "").version == US + 8
-
-
 def test_a_resume_is_of_the_time_at_which_it_was_given() -> None:
     """A stop that is given meanwhile is later, whichever of them robots hear first."""
     made = operator(begun=False)

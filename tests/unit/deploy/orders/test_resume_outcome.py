@@ -72,15 +72,6 @@ def test_a_robot_without_a_place_stays_where_it_is() -> None:
     assert resuming.outcome(3) == "robot 3: standby"
 
 
-def test_a_robot_that_has_nothing_to_drive_is_ready() -> None:
-    resuming = resuming_of(3)
-    say(resuming, 3, "ready", obeying=False, note="mode MANUAL, not GUIDED")
-    assert not resuming.done
-    say(resuming, 3, "ready", driving=False)
-    assert resuming.done
-    assert resuming.outcome(3) == "robot 3: ready"
-
-
 def test_a_robot_whose_mission_is_over_stands_and_is_free() -> None:
     resuming = resuming_of(3)
     say(resuming, 3, "stopped", driving=False, note=MISSION_OVER)
@@ -96,12 +87,6 @@ def test_a_state_from_before_the_leave_does_not_count() -> None:
     assert resuming.outcome(3) == "robot 3: running; it has not acknowledged the resume"
 
 
-def test_an_agent_that_has_not_heard_yet_that_its_body_left_does_not_count() -> None:
-    resuming = resuming_of(3)
-    say(resuming, 3, "running", obeying=False, note="disarmed")
-    assert not resuming.done
-
-
 def test_a_plant_that_has_missed_the_leave_does_not_count() -> None:
     resuming = resuming_of(3)
     say(resuming, 3, "running", driving=False)
@@ -114,21 +99,6 @@ def test_a_later_stop_is_told_as_such() -> None:
     say(resuming, 3, "stopped", note="stop: a person", orders=VERSION + 1)
     assert not resuming.done
     assert resuming.outcome(3) == "robot 3: stopped: stop: a person; ordered after this resume"
-
-
-@pytest.mark.parametrize(
-    ("state", "healthy", "note", "told"),
-    [
-        ("fault", False, "waiting for its GPS", "robot 3: fault: waiting for its GPS"),
-        ("stopped", True, "stop: a person", "robot 3: stopped: stop: a person"),
-        ("waiting", True, "for its plant", "robot 3: waiting: for its plant"),
-    ],
-)
-def test_other_reasons_are_told(state: str, healthy: bool, note: str, told: str) -> None:
-    resuming = resuming_of(3)
-    say(resuming, 3, state, healthy=healthy, note=note)
-    assert not resuming.done
-    assert resuming.outcome(3) == told
 
 
 def test_silence_is_told() -> None:
@@ -175,20 +145,3 @@ def test_who_waits_for_a_word_will_go_on_with_those_that_are_meant() -> None:
     assert Resuming(ROVERS, message, before).others == [2]
     assert Resuming(ROVERS, message._replace(robots=()), before).others == []
     assert resuming_of(1).others == []
-
-
-def test_those_that_go_on_are_counted_and_only_the_others_named() -> None:
-    resuming = resuming_of()
-    ids = ROVERS.ids
-    for robot in ids:
-        say(resuming, robot, "running")
-    count = len(ids)
-    assert resuming.outcomes == [f"{count} of {count} resumed ({count} running)"]
-    say(resuming, ids[0], "standby")
-    say(resuming, ids[-1], "released", obeying=False, note="mode MANUAL, not GUIDED")
-    assert resuming.outcomes == [
-        f"{count - 1} of {count} resumed ({count - 2} running, 1 standby)",
-        f"robot {ids[-1]}: still released: mode MANUAL, not GUIDED: its operator must give it back first",
-    ]
-    nobody = resuming_of()
-    assert nobody.outcomes[0] == f"0 of {count} resumed"

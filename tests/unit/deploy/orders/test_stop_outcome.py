@@ -120,41 +120,6 @@ def test_it_brakes_since_it_said_so_not_since_its_disk_has_the_stop() -> None:
     assert made.outcome(1).startswith("robot 1: stopped after 30 ms, ")
 
 
-def test_who_drives_again_before_it_has_kept_the_stop_does_not_brake() -> None:
-    made = stopping()
-    brake(made, *FLEET.ids[1:])
-    plant(made, 1, 10, driving=False)
-    agent(made, 1, 30, "stopping", 0, "stop")
-    agent(made, 1, 60, "running", 0)
-    assert made.outcome(1).startswith("robot 1: running: its agent has not taken the stop, ")
-    agent(made, 1, 90, "stopping")
-    assert made.outcome(1).startswith("robot 1: stopping after 90 ms, ")
-
-
-def test_what_was_said_before_its_computer_said_more_takes_nothing_back() -> None:
-    """Files here are read at once; what agents of a busy machine say comes later than it was said."""
-    made = stopping("a person")
-    brake(made, *FLEET.ids[1:])
-    plant(made, 1, 10, driving=False)
-    made.found(EPOCH + 50 * MS, 1, "agent", "stopping", VERSION, "by a file on this machine")
-    assert made.done
-    agent(made, 1, 60, "running", 0)
-    assert not made.done, "nor is it known to brake then"
-    assert made.outcome(1).startswith("robot 1: running: its agent has not taken the stop, ")
-    agent(made, 1, 70, "stopping", 0, "stop: a person")
-    assert made.done, made.outcome(1)
-
-
-def test_a_resume_that_its_computer_has_kept_is_no_stop() -> None:
-    made = stopping("a person")
-    day = 20 * 3600 * 1_000_000
-    for k in range(5):  # more than are outdone
-        made.found(EPOCH, 1, "agent", "", VERSION + day + 1000 * k, "by a file on this machine")
-    brake(made, *FLEET.ids)
-    agent(made, 1, 30, "stopping", 0, "stop: a person")
-    assert not made.stands_by(1)
-
-
 def test_of_many_those_that_brake_are_one_line_and_the_others_one_each() -> None:
     made = stopping()
     brake(made, *FLEET.ids[:-2])
@@ -287,18 +252,6 @@ def test_who_is_down_finds_it_later_and_is_waited_for_no_longer() -> None:
     assert not made.settled, "it is up"
 
 
-def test_what_cannot_be_outdone_yet_is_outdone_when_the_robots_time_is_known() -> None:
-    """As from files on this machine, while its clock is days behind and nothing has come over links."""
-    days_ago = EPOCH - 3 * 86_400 * S
-    made = Stopping(FLEET, days_ago, "")
-    for _ in range(20):
-        made.found(days_ago, 1, "agent", "", VERSION, "by a file")
-    assert made.message.version == days_ago // 1_000
-    status = Status(1, 1, EPOCH, "running", "", "", 1, VERSION, (), (), (), ())
-    made.feed(days_ago, key_expressions.status("square", 1), status)
-    assert made.message.version == VERSION + 1
-
-
 def test_two_who_stop_a_fleet_at_once_do_not_outdo_each_other_for_ever() -> None:
     """All robots have the last stop of either all the time, and brake by it."""
     two = stopping("one"), Stopping(FLEET, EPOCH + MS, "two")
@@ -317,38 +270,3 @@ def test_two_who_stop_a_fleet_at_once_do_not_outdo_each_other_for_ever() -> None
         # A later leave is none of those: it is outdone as ever.
     agent(two[0], 3, 200, "running", sent[-1] + 5)
     assert not two[0].done
-
-
-def test_a_later_stop_that_runs_give_is_outdone_too() -> None:
-    """Else the next drive lifted it, for this one was not the last."""
-    made = stopping("a person")
-    made.found(EPOCH, 1, "agent", "stopped", VERSION + 50, "over ssh to host1")
-    assert made.message.version == VERSION + 51
-    made.found(EPOCH, 2, "plant", "braking", VERSION + 70, "over ssh to host2")
-    assert made.message.version == VERSION + 71
-    made.has_had(3, VERSION + 90)
-    assert made.message.version == VERSION + 91
-    made.has_had(3, VERSION + 91)
-    assert made.message.version == VERSION + 91, "it is this one"
-    made.found_laid(3, VERSION + 91)
-    assert made.message.version == VERSION + 92, "of the same version, another lay there"
-
-
-def test_who_brakes_by_the_stop_before_it_was_outdone_was_let_go_by_nobody() -> None:
-    made = stopping("a person")
-    brake(made, 1)
-    made.found(EPOCH, 2, "agent", "stopped", VERSION + 50, "over ssh to host1")
-    assert made.outcome(1) == (
-        "robot 1: stopping after 20 ms, by an earlier stop: it has not taken the last one yet, "
-        "its plant brakes after 30 ms"
-    )
-    agent(made, 1, 60, "running", VERSION + 60)
-    assert made.outcome(1).startswith("robot 1: running: another operator has let it drive again, ")
-
-
-def test_of_one_that_brakes_and_has_kept_nothing_it_is_not_said_that_it_has_not_taken_it() -> None:
-    made = stopping()
-    made.found(EPOCH, 1, "agent", "stopped", -1, "over ssh to host1")
-    assert made.outcome(1).startswith(
-        "robot 1: stopped: its agent has kept no order, so by which is not known, "
-    )

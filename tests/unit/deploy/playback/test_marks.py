@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.types import Event, Resume, Status, StatusText, Stop
-from handfast.deploy.playback import marks as module
-from handfast.deploy.playback.marks import FAULT, ORDER, STATE, VEHICLE, VIOLATION, Mark, marks
+from handfast.agent.messages.types import Event, Resume, StatusText, Stop
+from handfast.deploy.playback.marks import FAULT, ORDER, VEHICLE, VIOLATION, Mark, marks
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
-from tests.unit.deploy.simulated_run import driven, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages, standing
 
 NAME = FLEET.fleet.name
@@ -58,49 +54,9 @@ def test_what_a_vehicle_says_itself_is_marked() -> None:
     assert [mark for mark in found if mark.kind == VEHICLE] == [Mark(1.5, None, VEHICLE, said, (2,))]
 
 
-def test_each_time_of_a_rule_is_marked() -> None:
-    fleet = trio(
-        '[[faults.rule]]\nname = "deaf"\nlink = "1->2"\nloss = "100%"\nat = 0.5\nfor = 0.25\nevery = 0.5\n'
-    )
-    data = RunData(fleet)
-    for sent in driven(fleet):
-        data.feed(*sent)
-    found = [mark for mark in marks(RunResult(data.recording())) if mark.kind == FAULT]
-    assert [(mark.t_s, mark.end_s) for mark in found] == [(0.5, 0.75), (1.0, 1.25), (1.5, 1.75)]
-    assert found[0].text == "deaf: loss 100% on 1->2"
-
-
-def test_the_same_trouble_of_many_robots_is_one_mark() -> None:
-    found = [mark for mark in marks(result_of(state="holding")) if mark.kind == STATE]
-    assert found == [Mark(0.0, None, STATE, "robots 1, 2 and 3 holding", (1, 2, 3))]
-
-
-def test_a_state_in_which_the_drive_began_is_marked_at_its_begin() -> None:
-    early = (EPOCH_NS - 10**8, key_expressions.status(NAME, 2), status_of(2, EPOCH_NS - 10**8, "fault"))
-    late = (EPOCH_NS + 10**9, key_expressions.status(NAME, 2), status_of(2, EPOCH_NS + 10**9, "fault"))
-    data = RunData(FLEET)
-    for received, key, message in [early, *messages(FLEET, in_formation(FLEET)), late]:
-        if key != key_expressions.status(NAME, 2) or message.state == "fault":
-            data.feed(received, key, message)
-    found = [mark for mark in marks(RunResult(data.recording())) if mark.kind == STATE]
-    assert found == [Mark(0.0, None, STATE, "robot 2 fault: no pose", (2,))]
-
-
-def status_of(robot: int, time_ns: int, state: str) -> Status:
-    return Status(robot, 0, time_ns, state, "", "no pose", 1, 0, (), (), (), ())
-
-
 def test_pairs_below_the_safe_distance_are_violations_that_name_them() -> None:
     near = [standing(0, 0), lambda t: (1.0 - min(max(t, 0.0), 1.5) * 0.6, 0.0, 0.0), standing(0, 1)]
     found = [mark for mark in marks(result_of(paths=near)) if mark.kind == VIOLATION]
     apart = [mark for mark in found if "apart" in mark.text]
     assert [mark.robots for mark in apart] == [(1, 2)]
     assert "0.100 m apart, less than the safe distance" in apart[0].text
-
-
-def test_of_too_many_marks_the_gravest_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    near = [standing(0, 0), lambda t: (1.0 - min(max(t, 0.0), 1.5) * 0.6, 0.0, 0.0), standing(0, 1)]
-    result = result_of(paths=near)
-    kinds = [mark.kind for mark in marks(result)]
-    monkeypatch.setattr(module, "MARKS_MAX", kinds.count(VIOLATION))
-    assert {mark.kind for mark in marks(result)} == {VIOLATION}

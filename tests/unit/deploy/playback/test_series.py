@@ -10,7 +10,7 @@ import pytest
 from handfast.deploy.playback import series as module
 from handfast.deploy.playback.series import nearest, series
 from tests.unit.deploy.playback.runs import FLEET, result_of
-from tests.unit.deploy.synthetic_run import in_formation, standing
+from tests.unit.deploy.synthetic_run import in_formation
 
 
 def test_curves_are_those_of_the_analysis() -> None:
@@ -57,21 +57,3 @@ def test_an_edge_that_is_no_more_has_no_curve() -> None:
     found = series(result)["edges"][1]
     assert None not in found["low"][:20]
     assert set(found["low"][20:]) == set(found["high"][20:]) == {None}
-
-
-def test_many_edges_are_one_curve(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "EDGES_MAX", 2)
-    assert series(result_of())["edges"] == []
-
-
-def test_where_nothing_is_said_a_curve_ends() -> None:
-    times = np.array([0.0, 0.2])
-    found = module._binned(times, np.array([5.0, 7.0]), np.arange(0.0, 3.0, 0.1))
-    assert found[:3] == pytest.approx([5.0, 5.0, 7.0])
-    assert found[11] == 7.0
-    assert np.isnan(found[14:]).all()
-
-
-def test_a_fleet_that_stands_has_flat_curves() -> None:
-    found = series(result_of(paths=[standing(0, 0), standing(1, 0), standing(0, 1)]))
-    assert len(set(found["nearest"])) == 1

@@ -14,7 +14,6 @@ from PIL import Image
 from handfast.agent.messages.types import PlantState
 from handfast.deploy.cli import main
 from handfast.deploy.recording.collector import RunData
-from handfast.deploy.report import film as module
 from handfast.deploy.report.film import FilmError, film
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of
@@ -61,12 +60,6 @@ def test_an_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", ["film", "film.avi", "film.mp4.txt"])
-def test_a_format_that_there_is_not_is_named(tmp_path: Path, name: str) -> None:
-    with pytest.raises(FilmError, match=r"a film is an \.mp4 or a \.gif"):
-        film(RESULT, tmp_path / name, fps=4, width_px=240)
-
-
 @needs_ffmpeg
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_ffmpeg_writes_as_many_pictures_as_the_speed_asks_for(tmp_path: Path, kind: str) -> None:
@@ -79,11 +72,6 @@ def test_ffmpeg_writes_as_many_pictures_as_the_speed_asks_for(tmp_path: Path, ki
     assert len(found) == 8
     first, last = pictures(found[0])[0], pictures(found[-1])[0]
     assert (np.abs(first - last).max(axis=2) > 60).sum() > 100
-
-
-def test_a_long_drive_is_shown_faster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "LONG_S", 1.0)
-    assert film(RESULT, tmp_path / "film.gif", fps=4, width_px=240) == 1.0
 
 
 def test_an_ffmpeg_that_fails_is_quoted_and_leaves_nothing(
@@ -125,10 +113,6 @@ def test_a_run_in_which_no_robot_was_seen_has_no_film(tmp_path: Path) -> None:
     with pytest.raises(FilmError, match="no place of any robot"):
         film(RunResult(data.recording()), tmp_path / "film.gif", fps=4, width_px=240)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_state_that_is_not_known_is_drawn(tmp_path: Path) -> None:
-    film(result_of(state="of a later version"), tmp_path / "film.gif", fps=1, width_px=240)
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:

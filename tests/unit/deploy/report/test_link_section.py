@@ -11,18 +11,13 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.fleet.fault_rules import Rule
-from handfast.agent.messages.types import Event
-from handfast.deploy.faults.windows import WINDOWS_MAX, windows
 from handfast.deploy.recording.columns import Store
 from handfast.deploy.recording.link_table import EXACT
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.rows import StatusRows
 from handfast.deploy.report import link_figure
-from handfast.deploy.report.drawing import fault_strip
-from handfast.deploy.report.drawing.plotting import write
-from handfast.deploy.report.link_section import ROWS_MAX, advice, section
+from handfast.deploy.report.link_section import advice
 from handfast.deploy.report.run_folder import rebuild, write_result
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio
@@ -123,32 +118,6 @@ def quiet() -> Recording:
     return recorded(fleet, driven(fleet))
 
 
-def test_of_many_links_the_worst_are_shown_in_their_order(quiet: Recording) -> None:
-    links = [link(k, 0.1, 20.0 + (k % 7)) for k in range(1, 91)]
-    words = text_of(section(quiet, found_with(links), None))
-    assert f"The worst {ROWS_MAX} of 90 links" in words
-    shown = [int(number) for number in re.findall(r"(\d+)→", words)]
-    assert len(shown) == ROWS_MAX
-    assert shown == sorted(shown)
-    assert {k for k in range(1, 91) if k % 7 > 3} <= set(shown)
-
-
-def test_what_all_links_were_asked_is_said_once(quiet: Recording) -> None:
-    words = text_of(section(quiet, found_with([link(1, 0.1, 20.0), link(2, 0.1, 20.0)]), None))
-    assert words.count("loss 9%") == 1
-    two = [link(1, 0.1, 20.0), link(2, 0.1, 20.0, "loss 8%")]
-    assert "AskedLost" in text_of(section(quiet, found_with(two), None))
-
-
-def test_clocks_that_differ_are_said(quiet: Recording) -> None:
-    offsets = [
-        {"robot": 1, "neighbour": 2, "offset_ms": -30.0, "error_ms": 5.0},
-        {"robot": 2, "neighbour": 3, "offset_ms": 60.0, "error_ms": 61.0},
-    ]
-    words = text_of(section(quiet, found_with([link(1, 0.1, 20.0)], clock_offsets=offsets), None))
-    assert "at the end robot 2's was 30.0 ms behind robot 1's, within 5.0 ms" in words
-
-
 def test_advice_on_links() -> None:
     fleet = trio(duration=0.5)
     off = replace(fleet, control=replace(fleet.control, prediction=False))
@@ -165,73 +134,9 @@ def test_advice_on_links() -> None:
 # --- pictures ---------------------------------------------------------------------------------
 
 
-def test_every_rule_has_a_lane_up_to_a_number() -> None:
-    many = "".join(
-        f'[[faults.rule]]\nname = "r{k}"\nlink = "1->2"\nloss = "9%"\nat = {k / 10}\nfor = 0.05\n'
-        for k in range(12)
-    )
-    fleet = trio('[faults]\ndelay = "1ms"\n' + many)
-    lanes = fault_strip.drawn_lanes(recorded(fleet, driven(fleet)), 2.0)
-    assert len(lanes) == fault_strip.LANES_MAX
-    assert lanes[0].text == "[faults]: delay 1ms on every link"
-    assert lanes[1].text == "r0: loss 9% on 1->2"
-    assert lanes[1].times == [(0.0, 0.05)]
-    assert lanes[-1].text == "5 further rules"
-    assert lanes[-1].times[0] == (pytest.approx(0.7), pytest.approx(0.75))
-
-
-def test_a_rule_that_flickers_is_drawn_as_one_bar() -> None:
-    flicker = Rule(at=1.0, duration=1e-4, every=2e-4)
-    assert windows(flicker, 10.0) == [(1.0, 10.0)]
-    assert windows(replace(flicker, until=5.0), 10.0) == [(1.0, 5.0)]
-    slow = Rule(at=1.0, duration=0.5, every=1.0)
-    assert windows(slow, 3.2) == [(1.0, 1.5), (2.0, 2.5), (3.0, 3.2)]
-    assert len(windows(slow, float(WINDOWS_MAX))) == WINDOWS_MAX - 1
-
-
-def test_links_are_drawn_where_messages_were_old(quiet: Recording) -> None:
-    assert not link_figure.worth_drawing(RunResult(quiet))
-    late = trio('[faults]\ndelay = "60ms"\n', duration=0.5)
-    recording = recorded(late, driven(late))
-    assert link_figure.worth_drawing(RunResult(recording))
-    assert link_figure.worth_drawing(RunResult(replace(recording, links=quiet.links)))
-
-
 def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
     whole = read_run(folder)
     mute = StatusRows(1, Store()).table(0, EXACT)
     empty = replace(quiet, robots={robot: replace(d, status=mute) for robot, d in quiet.robots.items()})
     for recording in (whole, quiet, empty, replace(whole, epoch_ns=None, missions=())):
         link_figure.links(RunResult(recording))
-
-
-@pytest.mark.parametrize("send", ["periodic", "event"])
-def test_the_share_that_was_lost_is_of_what_was_sent(send: str) -> None:
-    fleet = trio(f'[faults]\nloss = "20%"\n[control]\nsend = "{send}"\n', duration=8.0)
-    drawn = link_figure._lost(recorded(fleet, driven(fleet)), 8.0)
-    assert drawn is not None
-    assert 14.0 < drawn[1].mean() < 26.0
-
-
-def test_what_was_done_to_processes_is_marked(folder: Path) -> None:
-    recording = read_run(folder)
-    assert [event.what for event in recording.events] == ["kill", "start"]
-    axes = link_figure.links(RunResult(recording)).axes
-    texts = {text.get_text() for one in axes for text in one.texts}
-    assert {"plant 3 killed", "plant 3 started"} <= texts
-    assert any(text.startswith("<b>cut</b>: loss 100% on 1->2") for text in texts)
-
-
-def test_a_dollar_in_the_name_of_a_rule_is_a_dollar(tmp_path: Path) -> None:
-    fleet = trio('[[faults.rule]]\nname = "$\\\\nosuch$"\nlink = "1->2"\nloss = "9%"\n', duration=0.1)
-    recording = recorded(fleet, driven(fleet))
-    # TeX would not know it, and raise.
-    write(tmp_path / "links.png", lambda: link_figure.links(RunResult(recording)))
-
-
-def test_many_events_are_marked_without_words(quiet: Recording) -> None:
-    epoch_ns = quiet.epoch_ns or 0
-    events = [Event(1, k, epoch_ns + 10_000_000 * k, "agent", "stop", "x") for k in range(20)]
-    (strip_free, *_) = link_figure.links(RunResult(replace(quiet, events=events))).axes
-    assert not any("paused" in text.get_text() for text in strip_free.texts)
-    assert len([line for line in strip_free.lines if line.get_color() == "#C1121F"]) == 20

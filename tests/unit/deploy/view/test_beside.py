@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
 
 from handfast.deploy.console import program
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.view import beside as beside_module
 from handfast.deploy.view.beside import OVER, RECORDED, PageBeside
 
 NOTES = "import sys; open(sys.argv[2] + '/said', 'wb').write(sys.stdin.buffer.read())"
 FIRST_LINES = (
     "import sys; open(sys.argv[2] + '/said', 'wb').writelines(sys.stdin.buffer.readline() for _ in '12')"
 )
-STAYS = "import time; time.sleep(600)"
 
 
 @pytest.fixture
@@ -26,13 +23,6 @@ def interrupt() -> Interrupt:
 
 def command(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setattr(program, "_RUN", text)
-
-
-def test_there_is_none_unless_it_is_wanted(tmp_path: Path, interrupt: Interrupt) -> None:
-    with PageBeside(tmp_path, interrupt, wanted=False) as page:
-        page.over()
-        page.recorded()
-        assert page._process is None
 
 
 def test_it_is_told_how_the_drive_goes(
@@ -58,19 +48,6 @@ def test_the_recording_is_shown_until_the_page_ends(
         page.recorded()
         assert (tmp_path / "said").read_bytes() == OVER + RECORDED
         page.over()  # it has ended, and that is no matter of the drive
-
-
-def test_one_that_does_not_end_is_ended(
-    tmp_path: Path, interrupt: Interrupt, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    command(monkeypatch, STAYS)
-    monkeypatch.setattr(beside_module, "END_S", 0.05)
-    begun = time.monotonic()
-    with PageBeside(tmp_path, interrupt, wanted=True) as page:
-        pass
-    assert page._process is not None
-    assert page._process.returncode == -9
-    assert time.monotonic() - begun < 20.0
 
 
 def test_a_drive_that_breaks_off_ends_it_too(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol
@@ -12,14 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from handfast.agent.messages.types import Message, Mission, Resume, Stop
-from handfast.deploy.view import controls as controls_module
-from handfast.deploy.view.controls import ID_MAX, KNOWN_MAX, LINES_MAX, REASON_MAX, SHOWN_MAX, Controls
-from handfast.deploy.view.orders import RefusedError
+from handfast.deploy.view.controls import ID_MAX, REASON_MAX, Controls
 from tests.unit.deploy.orders.order_fleets import S
-from tests.unit.deploy.view.running import FLEET, Running
+from tests.unit.deploy.view.running import Running
 from tests.unit.deploy.view.test_orders import Way, begun, brake, stopped
-
-ALL = FLEET.ids
 
 
 class Made:
@@ -60,28 +55,6 @@ def made() -> Iterator[Made]:
         yield Made(running)
 
 
-class Scripted:
-    """An order under way that does as the test says."""
-
-    what = "what the test does"
-    done = is_over = False
-    count = (0, 1)
-
-    def __init__(self, lines: int = 1) -> None:
-        self.heard = self.steps = 0
-        self._lines = [f"line {number}" for number in range(lines)]
-
-    def lines(self) -> list[str]:
-        return list(self._lines)
-
-    def feed(self, now_ns: int, key: str, message: Message) -> None:
-        self.heard += 1
-
-    def step(self, now_ns: int) -> None:
-        assert not self.is_over
-        self.steps += 1
-
-
 # ---------------------------------------------------------------------- once
 
 
@@ -107,14 +80,6 @@ def test_an_order_is_given_once_however_often_it_is_said(
     assert [each["id"] for each in made.told] == ["a", "b"]
 
 
-def test_one_of_the_same_name_is_the_same_whatever_else_it_says(made: Made) -> None:
-    made.take({"id": "a", "kind": "leave", "robot": 4})
-    made.take({"id": "a", "kind": "leave", "robot": 3})
-    made.take({"id": "a", "kind": "stop"})
-    assert len(made.running.of(Mission)) == 1
-    assert made.running.of(Stop) == []
-
-
 def test_a_stop_is_told_as_it_goes(made: Made) -> None:
     made.take({"id": "a", "kind": "stop"})
     assert len(made.running.of(Stop)) == 1  # before anything else is done
@@ -133,108 +98,10 @@ def test_a_stop_is_told_as_it_goes(made: Made) -> None:
     assert way.closed == 1
 
 
-def test_what_became_of_what_is_over_does_not_change(made: Made) -> None:
-    made.take({"id": "a", "kind": "stop"})
-    brake(made.running, made.running.of(Stop)[0].version, *ALL)
-    made.step()
-    over = made.of("a")
-    assert over["done"]
-    made.take({"id": "b", "kind": "stop"})
-    for robot in ALL:
-        made.running.status(robot, "running", order_version=made.running.of(Stop)[-1].version)
-        made.running.body(robot)
-    made.step()
-    assert made.of("a") == over
-    assert not made.of("b")["done"]
-
-
-def test_one_that_ends_by_itself_between_two_looks_is_told_to_be_over(made: Made) -> None:
-    scripted = Scripted()
-    made.controls.kinds["test"] = lambda _: scripted
-    made.take({"id": "a", "kind": "test"})
-    made.step()
-    assert not made.of("a")["over"]
-    scripted.is_over = scripted.done = True
-    steps = scripted.steps
-    made.step()
-    assert (made.of("a")["over"], made.of("a")["done"]) == (True, True)
-    made.step()
-    assert scripted.steps == steps
-
-
-def test_what_comes_is_for_those_that_are_not_over(made: Made) -> None:
-    scripted = Scripted()
-    made.controls.kinds["test"] = lambda _: scripted
-    made.take({"id": "a", "kind": "test"})
-    made.running.status(1)
-    made.step()
-    assert scripted.heard == 1
-    scripted.is_over = True
-    made.step()
-    made.running.status(1)
-    made.step()
-    assert scripted.heard == 1
-
-
 # ---------------------------------------------------------------------- how many
 
 
-def test_so_many_are_told_and_the_others_again_when_they_are_said_again(made: Made) -> None:
-    for number in range(SHOWN_MAX + 3):
-        made.take({"id": str(number), "kind": "nothing"})
-    assert [each["id"] for each in made.told] == [str(number) for number in range(3, SHOWN_MAX + 3)]
-    made.take({"id": "0", "kind": "nothing"})  # its page has not been told
-    assert made.told[-1]["id"] == "0"
-    assert len(made.told) == SHOWN_MAX
-    before = list(made.told)
-    made.take({"id": "5", "kind": "nothing"})
-    assert made.told == before
-
-
-def test_so_many_are_known(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert KNOWN_MAX > 10 * SHOWN_MAX
-    monkeypatch.setattr(controls_module, "KNOWN_MAX", 20)
-    scripted = Scripted()
-    count: list[int] = []
-
-    def note(_: Mapping[str, Any]) -> Scripted:
-        count.append(1)
-        raise RefusedError("no")
-
-    made.controls.kinds["test"] = note
-    made.controls.kinds["lasts"] = lambda _: scripted
-    made.take({"id": "lasts", "kind": "lasts"})
-    for number in range(21):
-        made.take({"id": str(number), "kind": "test"})
-    for number in range(20, 0, -1):
-        made.take({"id": str(number), "kind": "test"})
-    assert len(count) == 21
-    made.take({"id": "0", "kind": "test"})
-    assert len(count) == 22  # forgotten
-    made.step()
-    assert scripted.steps == 1  # what is not over is not
-
-
-def test_so_many_lines_are_told(made: Made) -> None:
-    made.controls.kinds["test"] = lambda content: Scripted(content["lines"])
-    made.take({"id": "a", "kind": "test", "lines": LINES_MAX})
-    made.take({"id": "b", "kind": "test", "lines": LINES_MAX + 4})
-    assert made.of("a")["lines"] == [f"line {number}" for number in range(LINES_MAX)]
-    assert made.of("b")["lines"] == [*made.of("a")["lines"], "and 4 more"]
-
-
 # ---------------------------------------------------------------------- what is none
-
-
-def test_what_has_no_name_is_not_taken(made: Made) -> None:
-    names: list[Any] = [None, "", 1, 1.5, True, [], {}, "x" * (ID_MAX + 1)]
-    for name in names:
-        made.take({"id": name, "kind": "stop"})
-    made.take({"kind": "stop"})
-    made.take({})
-    assert (made.told, made.running.bus.said) == ([], [])
-    made.take({"id": "x" * ID_MAX, "kind": "stop"})
-    assert len(made.told) == 1
 
 
 @pytest.mark.parametrize("kind", ["dance", "", "Stop", None, 1, [], {}, ["stop"], "x" * 10_000])
@@ -350,34 +217,3 @@ def test_whatever_a_page_says_is_given_or_refused(made: Made, kind: str, fields:
 
 class Ask(Protocol):
     def __call__(self, content: Mapping[str, Any]) -> dict[str, Any]: ...
-
-
-@pytest.fixture
-def ask(made: Made) -> Ask:
-    return lambda content: asyncio.run(made.controls.preview(content))
-
-
-def test_what_would_come_of_a_formation_is_told_and_nothing_ordered(made: Made, ask: Ask) -> None:
-    fine = ask({"number": 3, "by": {"3": [0.1, 0.1]}})
-    assert (fine["number"], fine["fine"]) == (3, True)
-    assert fine["text"]
-    near = ask({"number": 4, "by": {"3": [0.0, -0.95]}})
-    assert (near["number"], near["fine"]) == (4, False)
-    assert "0.05 m apart" in near["text"]
-    assert made.running.bus.said == []
-
-
-@pytest.mark.parametrize("number", [None, "3", [], 1.5, 10**400, float("nan")])
-def test_a_question_that_is_none_is_answered_too(ask: Ask, number: object) -> None:
-    found = ask({"number": number, "by": {"99": [0, 0]}})
-    assert not found["fine"]
-    assert "by.99" in found["text"]
-    assert json.loads(json.dumps({"parts": {"preview": found}}, allow_nan=False))
-
-
-def test_nothing_can_be_asked_before_there_is_a_mission() -> None:
-    with Running() as running:
-        made = Made(running)
-        found = asyncio.run(made.controls.preview({"number": 1, "by": {"3": [0.1, 0.1]}}))
-    assert found == {"number": 1, "text": found["text"], "fine": False}
-    assert found["text"].startswith("the fleet has no mission yet")

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.types import AUTHOR_MAX, EVERY_AUTHOR, Faults
+from handfast.agent.messages.types import EVERY_AUTHOR, Faults
 from handfast.deploy.session.fault_injection import (
     AFTER_END_NS,
     ECHO_S,
@@ -21,7 +21,7 @@ from handfast.deploy.session.fault_injection import (
 from handfast.deploy.view.faults import FaultUnderWay, HealUnderWay, LiveFaults
 from handfast.deploy.view.orders import RefusedError, UnderWay
 from tests.unit.deploy.orders.order_fleets import S
-from tests.unit.deploy.view.running import FLEET, NAME, Running
+from tests.unit.deploy.view.running import NAME, Running
 
 RULE = {"link": "1<->2", "loss": "30%", "for": "4s"}
 
@@ -112,18 +112,6 @@ def test_what_is_no_rule_is_refused_and_not_said(faulty: Faulty, rule: Any) -> N
     assert faulty.said() == []
 
 
-@pytest.mark.parametrize("more", [{"kill": "agent"}, {"at": "0s"}, {"topic": "all"}])
-def test_fields_beyond_those_of_a_page_are_named(faulty: Faulty, more: dict[str, str]) -> None:
-    with pytest.raises(RefusedError, match="a rule gives for and some of delay, link, loss, robot"):
-        fault(faulty, **more)
-
-
-def test_a_rule_of_a_robot_is_one_too(faulty: Faulty) -> None:
-    given = FaultUnderWay(faulty.faults, {"rule": {"robot": 3, "delay": "40ms", "for": 2}})
-    assert "robot 3" in given.what
-    assert faulty.said()[0].rules
-
-
 # ---------------------------------------------------------------------- for its time
 
 
@@ -184,38 +172,7 @@ def test_who_does_not_say_that_it_is_healed_is_named(faulty: Faulty) -> None:
     assert given.lines() == ["not heard to be healed: robot 2's plant; the lease ends in 2 s"]
 
 
-def test_a_rule_that_another_operator_ends_is_over(faulty: Faulty) -> None:
-    given = fault(faulty)
-    for _ in range(5):
-        faulty.step(given)
-    (rule,) = faulty.held.values()
-    said = len(faulty.said())
-    faulty.held[rule.author] = rule._replace(version=rule.version + 1, rules="")
-    while not given.is_over:
-        faulty.step(given)
-    assert not given.done
-    assert "ended by another operator" in given.lines()
-    assert all(each.rules for each in faulty.said()[said:])
-
-
-def test_two_rules_hold_side_by_side(faulty: Faulty) -> None:
-    """A set of rules replaces those of its author: each has one of its own."""
-    first, second = fault(faulty), fault(faulty, link="3->4")
-    for _ in range(10):
-        faulty.step(first, second)
-    assert (first.count, second.count) == ((12, 12), (12, 12))
-    assert len(faulty.faults.sets()) == 2
-    assert len({each.version for each in faulty.said()}) == 2
-    assert all(len(each.author) <= AUTHOR_MAX for each in faulty.said())
-
-
 # ---------------------------------------------------------------------- healed
-
-
-def test_there_is_nothing_to_heal(faulty: Faulty) -> None:
-    with pytest.raises(RefusedError, match="no live faults"):
-        HealUnderWay(faulty.faults)
-    assert faulty.said() == []
 
 
 def test_all_links_are_healed_whoever_set_the_rules(faulty: Faulty) -> None:
@@ -236,30 +193,3 @@ def test_all_links_are_healed_whoever_set_the_rules(faulty: Faulty) -> None:
     while not given.is_over:
         faulty.step(given)
     assert (given.done, given.lines()) == (True, ["healed"]), "it was ended from here, as meant"
-
-
-def test_who_is_not_heard_to_be_healed_is_named(faulty: Faulty) -> None:
-    now_ns = faulty.running.clock.ns
-    faulty.held["somebody"] = Faults(5, now_ns, "somebody", now_ns, 0, "[[faults.rule]]\nloss = '10%'\n")
-    faulty.step()
-    heal = HealUnderWay(faulty.faults)
-    faulty.deaf = {(1, "agent")}
-    begun_ns = faulty.running.clock.ns
-    while not heal.is_over:
-        faulty.step(heal)
-    assert faulty.running.clock.ns - begun_ns == pytest.approx(ECHO_S * S, abs=S // 4)
-    assert (heal.count, heal.done) == ((11, 12), False)
-    assert heal.lines() == ["not heard to be healed: robot 1's agent"]
-
-
-def test_who_is_gone_holds_nothing(faulty: Faulty) -> None:
-    now_ns = faulty.running.clock.ns
-    faulty.held["somebody"] = Faults(5, now_ns, "somebody", now_ns, 0, "[[faults.rule]]\nloss = '10%'\n")
-    faulty.step()
-    for role in key_expressions.ROLES:
-        faulty.running.bus.connect(FLEET.ids[0], role, here=False)
-        faulty.deaf.add((FLEET.ids[0], role))
-    faulty.step()
-    heal = HealUnderWay(faulty.faults)
-    faulty.step(heal)
-    assert (heal.count, heal.done) == ((10, 10), True)

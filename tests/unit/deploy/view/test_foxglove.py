@@ -18,7 +18,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from handfast.agent.common.errors import MissingPackageError
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import PlantState
-from handfast.deploy.recording.foxglove.schemas import DIAGNOSTICS, LOG, PLOTS, POSES, ROBOTS, SCHEMAS, TOPICS
+from handfast.deploy.recording.foxglove.schemas import LOG, POSES, ROBOTS, SCHEMAS, TOPICS
 from handfast.deploy.view.foxglove import BACKLOG, PORT, FoxgloveServer, ServeError, layout_path
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
@@ -147,23 +147,6 @@ def test_who_looks_sees_what_is_fed(server: FoxgloveServer) -> None:
     look(server, then)
 
 
-def test_who_comes_late_is_told_what_is_not_said_again(server: FoxgloveServer) -> None:
-    for each in SENT:
-        server.feed(*each)
-
-    async def then(viewer: Viewer) -> None:
-        await viewer.subscribe(ROBOTS, DIAGNOSTICS, LOG, PLOTS, POSES)
-        await joined(server, 5)
-        after_ns = SENT[-1][0] + 1
-        server.feed(after_ns, key_expressions.hand("made-up", 1), SENT[0][2])
-        found = {subscription: (log_ns, content) for subscription, log_ns, content in await viewer.rest()}
-        assert set(found) == {0, 1, 4}, "neither a line of the log nor a point of a curve is there twice"
-        assert {log_ns for log_ns, _ in found.values()} == {after_ns}
-        assert len(found[0][1]["entities"]) == len(found[1][1]["status"]) == 3
-
-    look(server, then)
-
-
 def test_a_viewer_that_reads_nothing_delays_nobody() -> None:
     """Neither what waits for it nor the operating system's buffers hold all of this: some 10 MB."""
     fleet = make_fleet(*triangle(8))
@@ -197,21 +180,6 @@ def test_a_taken_port_and_another_address_are_refused_in_one_line() -> None:
         ) as error:
             FoxgloveServer(FLEET, host=host)
         assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
-def test_names_of_this_machine_are_not(host: str) -> None:
-    server = FoxgloveServer(FLEET, 0, host=host)
-    assert server.address == f"ws://{host}:{server.port}"
-    server.close()
-
-
-def test_what_is_fed_after_the_end_is_shown_to_nobody(server: FoxgloveServer) -> None:
-    server.close()
-    for each in SENT[:50]:
-        server.feed(*each)
-    with socket.socket() as other, pytest.raises(OSError):
-        other.connect(("127.0.0.1", server.port))
 
 
 def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from websockets.asyncio.client import connect
 
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.messages.types import Ask, Faults, Mission, Stop
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.view.live import LiveServer
 from handfast.deploy.view.live_fleet import LiveFleet
@@ -83,27 +82,6 @@ def test_a_page_is_told_what_can_be_ordered() -> None:
         served.frame()
 
 
-def test_orders_are_told_to_pages_as_they_go(served: Served) -> None:
-    about = served.order(id="a", kind="stop")
-    assert (about["id"], about["count"]) == ("a", [0, 6])
-    version = served.of(Stop)[0].version
-    for robot in FLEET.ids:
-        served.status(robot, "stopped", "stop", order_version=version)
-        served.body(robot, driving=False)
-    served.frame()
-    assert [(each["count"], each["done"]) for each in served.part("orders")] == [([6, 6], True)]
-
-
-def test_places_are_moved_and_links_disturbed(served: Served) -> None:
-    assert served.order(id="a", kind="move", by={"3": [0.1, 0.1]})["what"].startswith("new places")
-    assert len(served.of(Mission)) == 1
-    about = served.order(id="b", kind="fault", rule={"link": "1->2", "loss": "30%", "for": "5s"})
-    assert (about["what"], about["over"]) == ("loss 30% on 1->2", False)
-    assert len(served.of(Faults)) == 1
-    assert served.order(id="c", kind="heal")["lines"] == ["there are no live faults"]
-    assert served.order(id="d", kind="move", by={})["lines"] == ["nothing is moved"]
-
-
 @settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from([("move", "by"), ("fault", "rule")]), st.data())
 def test_whatever_a_page_says_of_them_is_given_or_refused(
@@ -116,15 +94,6 @@ def test_whatever_a_page_says_of_them_is_given_or_refused(
     assert ("count" in about) == bool(served.bus.said)
     if "count" not in about:
         assert len(about["lines"]) == 1
-
-
-def test_what_was_ordered_before_is_asked_for(served: Served) -> None:
-    served.frame()
-    assert served.of(Ask) == []
-    served.status(1, "stopped", order_version=5)
-    served.frame()
-    served.frame()
-    assert len(served.of(Ask)) == 1
 
 
 def test_when_the_drive_is_over_pages_keep_what_they_have(served: Served) -> None:
@@ -153,19 +122,6 @@ def test_then_they_get_the_recording(served: Served) -> None:
     assert served.server._server.answer is answer
 
 
-def test_each_server_has_a_token_of_its_own() -> None:
-    addresses = []
-    for _ in range(2):
-        with serving() as served:
-            addresses.append(served.server.address)
-    for address in addresses:
-        before, hash_, token = address.partition("#token=")
-        assert before.startswith("http://127.0.0.1:")
-        assert hash_
-        assert len(token) >= 20
-    assert len({address.partition("#")[2] for address in addresses}) == 2
-
-
 def test_a_port_that_is_taken_is_said_and_nothing_left_open(served: Served) -> None:
     taken = int(served.server.address.partition("#")[0].rstrip("/").rpartition(":")[2])
     with pytest.raises(OSError, match="in use"):
@@ -188,15 +144,3 @@ def test_it_serves_until_it_is_cancelled(served: Served) -> None:
         assert not len(served.server.pages)
 
     asyncio.run(main())
-
-
-def test_what_goes_wrong_in_a_frame_ends_the_server_and_is_said(served: Served) -> None:
-    """A page that shows what was long ago would be worse."""
-
-    def fails() -> None:
-        raise ZeroDivisionError
-
-    steps: list[Callable[[], None]] = served.server.pages.steps
-    steps.append(fails)
-    with pytest.raises(ZeroDivisionError):
-        asyncio.run(served.server.serve())

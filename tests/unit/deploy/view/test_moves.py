@@ -16,7 +16,7 @@ from handfast.deploy.orders.mission_editing import ordered
 from handfast.deploy.view import moves
 from handfast.deploy.view.moves import SAID_MAX, judged, order_to_move
 from handfast.deploy.view.orders import RefusedError
-from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, first_plan, square
 
 FLEET = resolved(square())
 PLAN = first_plan(FLEET)
@@ -27,15 +27,6 @@ def moved(by: dict[str, Any], plan: Plan = PLAN) -> dict[int, tuple[float, float
     """Where members have their places after such a move."""
     mission = ordered(order_to_move({"by": by}, plan, FLEET), plan, FLEET, NOW_NS, 9)
     return {place.robot: (place.x, place.y) for place in mission.robots}
-
-
-def test_places_move_from_where_the_mission_has_them() -> None:
-    assert moved({"3": [0.5, -0.25]}) == {1: (0, 0), 2: (1, 0), 3: (1.5, 0.75), 4: (0, 1)}
-    assert moved({"1": [-1, 0], "4": [0, 0.12344]}) == {1: (-1, 0), 2: (1, 0), 3: (1, 1), 4: (0, 1.1234)}
-    _, wider = after(order("reshape", scale=2.0), PLAN, FLEET)
-    assert moved({"3": [0.5, 0]}, wider) == {1: (0, 0), 2: (2, 0), 3: (2.5, 2), 4: (0, 2)}
-    _, fewer = after(order("leave", robot=2), PLAN, FLEET)
-    assert moved({"3": [0.5, 0]}, fewer) == {1: (0, 0), 3: (1.5, 1), 4: (0, 1)}
 
 
 def test_edges_stay_and_are_as_long_as_their_places_are_apart() -> None:
@@ -88,17 +79,6 @@ def test_what_is_no_move_is_refused(by: Any) -> None:
     assert str(caught.value).startswith(("nothing is moved", "by."))
 
 
-def test_nothing_is_moved_before_there_is_a_mission() -> None:
-    with pytest.raises(RefusedError, match="no mission yet"):
-        order_to_move({"by": {"3": [0, 0]}}, None, FLEET)
-
-
-def test_places_beyond_all_bounds_are_refused() -> None:
-    far = order("reshape", scale=1000.0, over_s=600.0)
-    with pytest.raises(RefusedError, match=r"formation\.offsets"):
-        order_to_move({"by": {"3": [1e6, 1e6]}}, after(far, PLAN, FLEET)[1], FLEET)
-
-
 # ---------------------------------------------------------------------- what would come of it
 
 
@@ -125,22 +105,6 @@ def test_what_would_come_of_a_move_is_what_check_finds_besides() -> None:
     assert text.endswith(" s")
 
 
-def test_a_move_of_which_nothing_comes_is_fine() -> None:
-    text, fine = judged(order_to_move({"by": {"3": [0.1, 0.1]}}, PLAN, FLEET), PLAN, FLEET, NOW_NS)
-    assert fine
-    assert text.startswith("check finds nothing wrong; takes ")
-
-
-def test_what_is_wrong_already_is_not_said_again() -> None:
-    """A formation in which robots 1 and 3 have no edge can be bent: dragged a little it still can."""
-    fleet = resolved(square("formation.edges=[[1, 2], [2, 3], [3, 4], [1, 4]]"))
-    plan = first_plan(fleet)
-    assert [each for each in check(fleet) if each.level in ("error", "warning")]
-    text, fine = judged(order_to_move({"by": {"3": [0.1, 0.1]}}, plan, fleet), plan, fleet, NOW_NS)
-    assert fine
-    assert text.startswith("check finds nothing wrong")
-
-
 def test_only_an_error_keeps_it_from_being_ordered(monkeypatch: pytest.MonkeyPatch) -> None:
     moved = order_to_move({"by": {"3": [0.1, 0.1]}}, PLAN, FLEET)
     for levels, is_fine in ((["warning"] * 5, True), (["warning", "error"], False), (["info"], True)):
@@ -151,10 +115,3 @@ def test_only_an_error_keeps_it_from_being_ordered(monkeypatch: pytest.MonkeyPat
         assert fine == is_fine
         assert ("; and 2 more; " in text) == (len(levels) == 5)
         assert (f"{levels[0]}: number 0" in text) == (levels != ["info"])
-
-
-def test_what_cannot_be_ordered_is_said_and_why() -> None:
-    near = order_to_move({"by": {"3": [0.0, -0.95]}}, PLAN, FLEET)
-    text, fine = judged(near, PLAN, FLEET, NOW_NS)
-    assert not fine
-    assert text.startswith("robots 2 and 3 would stand 0.05 m apart")

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from math import inf, nan
+from collections.abc import Iterator, Sequence
+from math import nan
 from typing import Any
 
 import pytest
 
 from handfast.agent.fleet.orders import OrderSection
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import encode, newer
+from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Ask, Mission, Resume, Stop
 from handfast.deploy.drive.preconditions import OVER
 from handfast.deploy.orders.stop_outcome import Stopping, again_s
 from handfast.deploy.session.session import ANSWER_S
-from handfast.deploy.session.stop import WAIT_S
 from handfast.deploy.view.orders import (
-    SEEN_S_MAX,
     ChangeUnderWay,
     RefusedError,
     ResumeUnderWay,
     StopUnderWay,
     UnderWay,
-    given_ns,
     order_of,
 )
 from tests.unit.deploy.orders.order_fleets import S, order
@@ -161,22 +158,9 @@ def test_a_stop_that_nobody_answers_is_over_in_the_end(running: Running) -> None
     assert stop.lines()[-1] == "not over ssh to h1: no route"
 
 
-def test_a_way_that_is_slow_is_waited_for(running: Running) -> None:
-    way = Way(busy=True)
-    stop = StopUnderWay(running.state, "", [way])
-    assert over_after_s(running, stop) == pytest.approx(WAIT_S, abs=0.1)
-    assert way.closed == 1
-
-
 def test_a_stop_of_somebody_is_not_taken_for_that_of_a_program(running: Running) -> None:
     StopUnderWay(running.state, OVER, ())
     assert running.of(Stop)[0].reason == f"{OVER}, somebody says"
-
-
-def test_any_text_can_be_the_reason(running: Running) -> None:
-    for reason in ("x" * 500, "é" * 300, "\ud800", "\n\x1b[2J"):
-        StopUnderWay(running.state, reason, ())
-    assert len(running.of(Stop)) == 4
 
 
 # ---------------------------------------------------------------------- resume
@@ -227,59 +211,6 @@ def test_a_resume_of_one_robot_is_for_that_alone(running: Running) -> None:
     assert over_after_s(running, resume) == pytest.approx(ANSWER_S, abs=0.1)
     assert not resume.done
     assert resume.lines() == ["0 of 1 resumed", "robot 3: nothing heard from its agent"]
-
-
-def test_a_resume_does_not_lift_a_stop_that_was_given_since(running: Running) -> None:
-    """One that was on its way for a while, over a connection that was lost; or somebody's clock is ahead."""
-    stopped(running, 2 * S)
-    with pytest.raises(RefusedError, match="somebody has just said stop; resume again to lift that"):
-        ResumeUnderWay(running.state, (), running.clock.ns - 3 * S)
-    assert running.of(Resume) == []
-    ResumeUnderWay(running.state, (), running.clock.ns - S)
-    assert len(running.of(Resume)) == 1
-
-
-def test_a_resume_right_after_a_stop_is_refused(running: Running) -> None:
-    stopped(running, -S // 10)
-    with pytest.raises(RefusedError, match="just said stop"):
-        ResumeUnderWay(running.state, (), running.clock.ns)
-
-
-def test_when_an_order_was_given() -> None:
-    now_ns = 1_790_000_000 * S
-    assert given_ns({"seen_s": now_ns / S - 0.5}, now_ns) == now_ns - S // 2
-    assert given_ns({"seen_s": now_ns / S + 0.5}, now_ns) == now_ns, "its clock was set back meanwhile"
-    for wrong in (True, "1", None, [], 10**400, 1_790_000_000):
-        with pytest.raises(RefusedError, match="seen_s: "):
-            given_ns({"seen_s": wrong}, now_ns)
-    for seen_s in (now_ns / S - SEEN_S_MAX - 0.1, now_ns / S + SEEN_S_MAX + 0.1, nan, inf, 0.0):
-        with pytest.raises(RefusedError, match="too long ago"):
-            given_ns({"seen_s": seen_s}, now_ns)
-    with pytest.raises(RefusedError, match="seen_s: "):
-        given_ns({}, now_ns)
-
-
-@pytest.mark.parametrize(
-    "give",
-    [
-        lambda running: ResumeUnderWay(running.state, (), running.clock.ns),
-        lambda running: ChangeUnderWay(running.state, order("leave", robot=4)),
-    ],
-)
-def test_no_order_that_nobody_would_believe(running: Running, give: Callable[[Running], Any]) -> None:
-    """This machine's clock is days ahead: only a stop is given."""
-    running.begin()
-    running.step()
-    running.clock.ns += 3 * 24 * 3600 * S
-    for robot in ALL:
-        running.status(robot, time_ns=running.clock.ns - 3 * 24 * 3600 * S)
-    running.step()
-    with pytest.raises(RefusedError, match="clock"):
-        give(running)
-    assert running.of(Resume) == []
-    assert running.of(Mission) == []
-    StopUnderWay(running.state, "", ())
-    assert running.of(Stop)
 
 
 # ---------------------------------------------------------------------- changes
@@ -333,64 +264,6 @@ def test_a_change_is_said_until_all_have_acknowledged_it(
     assert change.lines() == ["6 of 6 acknowledged"]
 
 
-def test_a_change_that_nobody_takes_is_over_in_the_end(running: Running) -> None:
-    begun(running)
-    change = ChangeUnderWay(running.state, order("leave", robot=4))
-    assert 3.0 < over_after_s(running, change) < 5.0
-    assert (change.done, change.count) == (False, (0, 6))
-
-
-def test_who_is_not_there_is_not_waited_for_and_that_is_told(running: Running) -> None:
-    begun(running)
-    for role in key_expressions.ROLES:
-        running.bus.connect(8, role, here=False)
-    change = ChangeUnderWay(running.state, order("leave", robot=4))
-    follow(running, change)
-    (mission,) = running.of(Mission)
-    running.step(0)
-    acknowledge(running, mission, *ALL[:-1])
-    step(running, change)
-    running.bus.put(TOLD, mission)
-    step(running, change)
-    assert (change.is_over, change.done, change.count) == (True, False, (5, 6))
-    assert "robot 8: its agent is not there; the others will relay it" in change.lines()
-
-
-def test_a_change_that_another_operator_has_overtaken(running: Running) -> None:
-    begun(running)
-    change = ChangeUnderWay(running.state, order("leave", robot=4))
-    follow(running, change)
-    (mission,) = running.of(Mission)
-    other = mission._replace(version=mission.version + 1, note="robot 1 leaves")
-    running.bus.put(TOLD, other)
-    acknowledge(running, other, *ALL)
-    step(running, change)
-    step(running, change)
-    assert (change.is_over, change.done) == (True, False)
-    (line,) = change.lines()
-    assert line.startswith("overtaken by another operator's order (robot 1 leaves)")
-
-
-def test_of_two_changes_of_one_version_one_is_done(running: Running) -> None:
-    begun(running)
-    change = ChangeUnderWay(running.state, order("leave", robot=4))
-    follow(running, change)
-    (mission,) = running.of(Mission)
-    others = (mission._replace(note=f"robot 1 leaves ({number})") for number in range(100))
-    other = next(each for each in others if newer(each, mission))
-    running.bus.put(TOLD, other)
-    acknowledge(running, other, *ALL)
-    step(running, change)
-    step(running, change)
-    assert (change.is_over, change.done) == (True, False)
-    assert change.lines()[0].startswith("not done: another operator's order was quicker")
-
-
-def test_nothing_is_changed_before_there_is_a_mission(running: Running) -> None:
-    with pytest.raises(RefusedError, match="the fleet has no mission yet"):
-        ChangeUnderWay(running.state, order("leave", robot=4))
-
-
 @pytest.mark.parametrize(
     ("given", "why"),
     [
@@ -407,11 +280,6 @@ def test_what_cannot_be_done_is_refused_and_not_said(running: Running, given: Or
 
 
 # ---------------------------------------------------------------------- what a page says
-
-
-def test_an_order_of_a_page_is_one_of_a_fleet_file() -> None:
-    assert order_of({"kind": "leave", "robot": 4}, ALL) == order("leave", robot=4)
-    assert order_of({"kind": "resume", "seen_s": 0.5}, ALL) == order("resume")
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from handfast.deploy.playback.track import COLUMNS
-from handfast.deploy.view import pages as pages_module
 from handfast.deploy.view.live_fleet import FORCE_COLUMNS, HEAD, HISTORY_COLUMNS
-from handfast.deploy.view.pages import AHEAD, FULL, HURRIED, PAGES_MAX, REFUSED, REQUESTS_MAX, Pages
+from handfast.deploy.view.pages import AHEAD, FULL, PAGES_MAX, REFUSED, Pages
 from handfast.deploy.view.server import MESSAGE_BYTES_MAX, TALK_PATH, Content, Server
 from tests.unit.deploy.orders.order_fleets import S
 from tests.unit.deploy.view.running import FLEET, Running
@@ -207,17 +206,6 @@ def test_who_does_not_show_the_token_first_is_told_nothing(first: str | bytes) -
     run(test)
 
 
-def test_who_shows_no_token_in_time_is_told_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages_module, "TOKEN_S", 0.05)
-
-    async def test(served: Served) -> None:
-        async with served.connected() as page:
-            await served.frame()
-            assert await page.closed() == (REFUSED, [])
-
-    run(test)
-
-
 def test_one_page_too_many_is_refused() -> None:
     async def test(served: Served) -> None:
         async with asyncio.TaskGroup() as group:
@@ -277,24 +265,6 @@ def test_a_page_gets_all_there_is_and_then_what_changes() -> None:
     run(test)
 
 
-def test_another_drive_begins_from_nothing() -> None:
-    async def test(served: Served) -> None:
-        served.live.logs["events"] += ["first", "second", "third"]
-        async with served.opened() as page:
-            await served.frame()
-            await page.turn()
-            served.running.begin()
-            await served.frame()
-            turn = await page.turn()
-            assert turn.told["drive"] == 1
-            assert "events" not in turn.told["logs"]
-            served.live.logs["events"].append("one of this drive")
-            await served.frame()
-            assert (await page.turn()).told["logs"]["events"] == ["one of this drive"]
-
-    run(test)
-
-
 def past_rows(turn: Turn) -> list[float]:
     """The times of the rows of the past, s."""
     assert turn.past is not None
@@ -319,29 +289,6 @@ def test_who_comes_later_gets_the_past_once_and_again_when_it_asks() -> None:
             assert len(past_rows(await page.turn())) == 6
             await served.frame()
             assert (await page.turn()).past is None
-
-    run(test)
-
-
-def wanted(served: Served) -> set[bool]:
-    return {each.forces for each in served.pages._pages}
-
-
-def test_forces_are_for_those_who_want_them() -> None:
-    async def test(served: Served) -> None:
-        async with served.opened() as page, served.opened() as other:
-            await served.frame()
-            assert (await page.turn()).columns == len(COLUMNS) - FORCE_COLUMNS
-            await other.turn()
-            await page.say({"forces": True})
-            await until(lambda: wanted(served) == {True, False})
-            await served.frame()
-            assert (await page.turn()).columns == len(COLUMNS)
-            assert (await other.turn()).columns == len(COLUMNS) - FORCE_COLUMNS
-            await page.say({"forces": False})
-            await until(lambda: wanted(served) == {False})
-            await served.frame()
-            assert (await page.turn()).columns == len(COLUMNS) - FORCE_COLUMNS
 
     run(test)
 
@@ -372,26 +319,6 @@ def test_who_draws_nothing_gets_no_more_and_then_the_newest() -> None:
             await served.frame()
             await page.say(AHEAD + 1)
             assert (await page.turn()).number == 24
-
-    run(test)
-
-
-@pytest.mark.parametrize("drawn", [1000, 2**80, -5, 0])
-def test_nobody_has_drawn_what_was_not_sent(drawn: int) -> None:
-    async def test(served: Served) -> None:
-        async with served.opened() as page:
-            await page.say(drawn)
-            await page.say({"forces": True})  # both are taken by when there are forces
-            await until(lambda: next(iter(served.pages._pages)).forces)
-            numbers = []
-            for _ in range(AHEAD):
-                await served.frame()
-                numbers.append((await page.turn(draws=False)).number)
-            for _ in range(5):
-                await served.frame()
-            await page.say(AHEAD)
-            numbers.append((await page.turn()).number)
-            assert numbers == [1, 2, served.live.number]
 
     run(test)
 
@@ -447,23 +374,6 @@ def test_orders_are_taken_as_they_come() -> None:
     run(test)
 
 
-def test_a_stop_does_not_wait_for_the_answer_to_a_question() -> None:
-    async def test(served: Served) -> None:
-        orders = noted(served)
-        orders.may_answer.clear()
-        async with served.opened() as page:
-            for number in range(5):
-                await page.say({"preview": {"number": number}})
-                await until(lambda: bool(orders.asked))
-            await page.say({"order": {"kind": "stop"}})
-            await until(lambda: bool(orders.taken))
-            orders.may_answer.set()
-            said = [json.loads(await asyncio.wait_for(page.connection.recv(), WAIT_S)) for _ in range(2)]
-        assert [each["parts"]["preview"]["number"] for each in said] == [0, 4]  # of those between, none
-
-    run(test)
-
-
 WRONG: list[str | bytes] = [
     "",
     "nonsense",
@@ -480,22 +390,6 @@ WRONG: list[str | bytes] = [
     b'{"order": {"id": "1", "kind": "stop"}}',
     b"\xff\x00",
 ]
-NOTHING: list[Any] = [
-    {},
-    {"order": None},
-    {"order": []},
-    {"order": "stop"},
-    {"order": 1},
-    {"forces": 1},
-    {"forces": None},
-    {"past": 1},
-    {"past": "true"},
-    {"preview": []},
-    {"preview": float("nan")},
-    {"token": TOKEN},
-    {"": {}},
-    -(10**4000),
-]
 
 
 @pytest.mark.parametrize("wrong", WRONG)
@@ -508,24 +402,6 @@ def test_what_is_nothing_that_a_page_says_ends_its_connection_alone(wrong: str |
             await served.frame()
             assert (await other.turn()).number == 1
         assert noted(served).taken == []
-
-    run(test)
-
-
-def test_fields_of_other_types_change_nothing() -> None:
-    async def test(served: Served) -> None:
-        served.running.begin()
-        async with served.opened() as page:
-            await served.frame()
-            assert (await page.turn()).past is not None
-            last = {"id": "the last"}
-            for each in [*NOTHING, {"order": last}]:
-                await page.say(each)
-            await until(lambda: bool(noted(served).taken))
-            await served.frame()
-            turn = await page.turn()
-            assert (turn.number, turn.past, turn.columns) == (2, None, len(COLUMNS) - FORCE_COLUMNS)
-        assert (noted(served).taken, noted(served).asked) == ([last], [])
 
     run(test)
 
@@ -544,30 +420,6 @@ def test_a_message_that_is_too_long_ends_its_connection_alone() -> None:
             await served.frame()
             assert (await other.turn()).number == 1
         assert len(noted(served).taken) == 1
-
-    run(test)
-
-
-def test_who_asks_too_often_is_closed() -> None:
-    async def test(served: Served) -> None:
-        async with served.opened() as other, served.opened() as page:
-            with suppress(ConnectionClosed):
-                for number in range(10 * REQUESTS_MAX):
-                    await page.say({"order": {"id": str(number)}})
-            assert (await page.closed())[0] == HURRIED
-            assert REQUESTS_MAX <= len(noted(served).taken) < 10 * REQUESTS_MAX
-            await served.frame()
-            assert (await other.turn()).number == 1
-
-    run(test)
-
-
-def test_drawing_is_no_request() -> None:
-    async def test(served: Served) -> None:
-        async with served.opened() as page:
-            for _ in range(5 * REQUESTS_MAX):
-                await served.frame()
-                await page.turn()
 
     run(test)
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 import pytest
 
 from handfast.deploy.console import program
-from handfast.deploy.view.start import LINES_MAX, StartUnderWay
+from handfast.deploy.view.start import StartUnderWay
 
 SAYS_ITS_ARGUMENTS = "import sys; print(*sys.argv[1:], sep='|')"
 
@@ -65,24 +65,3 @@ def test_what_it_says_is_told_while_it_waits(started: Callable[..., StartUnderWa
         time.sleep(0.01)
     assert waits.lines() == ["waits for robot 1"]
     assert (waits.is_over, waits.done, waits.count) == (False, False, (0, 3))
-
-
-def test_the_last_lines_are_kept_whatever_is_in_them(started: Callable[..., StartUnderWay]) -> None:
-    given = ended(
-        started(
-            "import sys\n"
-            "for k in range(3000): print('line', k)\n"
-            "sys.stdout.flush(); sys.stdout.buffer.write(b'\\xff\\xfe\\n'); sys.stdout.flush()"
-        )
-    )
-    lines = given.lines()
-    assert given.done
-    assert len(lines) == LINES_MAX
-    assert lines[-2] == "line 2999"
-    assert lines[-1]  # of bytes that are no text
-
-
-def test_it_hears_for_itself(started: Callable[..., StartUnderWay]) -> None:
-    given = ended(started("pass"))
-    given.step(0)
-    assert given.lines() == []

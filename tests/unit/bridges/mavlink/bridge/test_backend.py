@@ -9,12 +9,10 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot.frames import datum_of
 from handfast.bridges.mavlink.bridge.backend import BRAKE_NS_MAX, session
-from handfast.bridges.mavlink.simulator.in_memory import LATENCY_NS, SimulatedRoverPlant
-from handfast.plant.backend import Command, Said
-from tests.rover_scene import MASS, START_NS, Scene, rovers
+from handfast.plant.backend import Command
+from tests.rover_scene import MASS, Scene, rovers
 
 GO = Command(MASS * 0.3, 0.0)
 
@@ -77,16 +75,6 @@ def test_while_it_drives_the_agent_is_told_of_the_reference_else_of_what_is_meas
     assert reading.pose.speed == pytest.approx(scene.rover.speed, abs=0.08)
 
 
-def test_its_pose_is_that_of_the_tick_not_that_of_the_last_message() -> None:
-    scene = Scene()
-    scene.drive(0.5)
-    scene.run(2.0)
-    for _ in range(20):
-        scene.tick()
-        assert scene.bridge.reading.time_ns == scene.now_ns
-        assert scene.bridge.reading.pose[:2] == pytest.approx(scene.pose[:2], abs=0.03)
-
-
 @pytest.mark.parametrize(("rate_hz", "least", "most"), [(20, 19, 21), (100, 45, 50)])
 def test_setpoints_go_out_at_every_tick_but_no_faster_than_the_vehicle_can_use(
     rate_hz: int, least: int, most: int
@@ -131,17 +119,6 @@ def test_the_vehicles_own_limits_hold_as_well(parameter: str, value: float) -> N
         assert max(rate for _, _, rate in sent) == pytest.approx(0.2618, abs=1e-3)
 
 
-def test_what_the_vehicle_says_is_in_the_log_once() -> None:
-    scene = Scene(hand_over=False)
-    scene.run(3.0)
-    scene.rover.set_mode("GUIDED")
-    scene.rover.arm()
-    scene.run(1.0)
-    assert scene.bridge.log.count("the vehicle says (info): Throttle armed") == 1
-    assert Said("info", "Throttle armed") in scene.bridge.plant.status_texts()
-    assert not scene.bridge.plant.status_texts()
-
-
 def test_who_has_it_is_in_the_log_when_it_changes() -> None:
     scene = Scene()
     scene.drive()
@@ -163,37 +140,6 @@ def test_who_has_it_is_in_the_log_when_it_changes() -> None:
     ]
 
 
-def test_a_silent_link_does_not_fill_the_log() -> None:
-    """Its age is in what the agent is told, and changes with every tick."""
-    scene = Scene()
-    scene.drive()
-    scene.bridge.port.cut = True
-    before = len(scene.bridge.log)
-    scene.run(10.0)
-    assert len(scene.bridge.log) - before <= 2, scene.bridge.log[before:]
-
-
-def test_a_clearance_that_cannot_be_followed_is_logged() -> None:
-    scene = Scene(hand_over=False)
-    scene.run(4.0)
-    scene.bridge.clear_to_drive()
-    assert scene.bridge.log[-1] == "told to drive, but cannot: mode MANUAL, not GUIDED"
-
-
-def test_a_rover_in_memory_says_nothing_to_a_bridge_that_was_not_there() -> None:
-    """What it said while its bridge was dead would come as if it had just been said."""
-    fleet = rovers()
-    first = SimulatedRoverPlant(fleet, 1, START_NS)
-    first.step(START_NS + NS_PER_S, None)
-    later_ns = START_NS + 10 * NS_PER_S
-    again = SimulatedRoverPlant(fleet, 1, later_ns, first.rover)
-    assert again.rover is first.rover
-    again.transport.advance(later_ns + 2 * LATENCY_NS)
-    assert len(again.transport.receive()) < 10, "what it says within one loop"
-    again.transport.advance(later_ns + 2 * NS_PER_S)
-    assert len(again.transport.receive()) > 10
-
-
 def test_the_session_is_that_of_the_fleet_file() -> None:
     link = session(
         rovers(
@@ -207,14 +153,3 @@ def test_the_session_is_that_of_the_fleet_file() -> None:
     settings = link.settings
     assert (settings.system, settings.token) == (7, 5)
     assert settings.datum == datum_of(rovers())
-
-
-def test_what_was_odd_on_its_link_is_in_the_log_at_the_end() -> None:
-    scene = Scene()
-    scene.drive(0.2)
-    scene.bridge.plant.close()
-    assert not any("odd" in line for line in scene.bridge.log)
-    assert scene.bridge.link.setpoint(float("nan"), 0.0) == b""
-    scene.bridge.port.dropped = 3
-    scene.bridge.plant.close()
-    assert scene.bridge.log[-1] == "odd on its link: 3 not sent, 1 setpoint not finite"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, inf, nan, pi, radians, sin
+from math import cos, inf, nan, radians, sin
 
 import pytest
 
@@ -51,31 +51,6 @@ class Driven:
         found = self.estimate.pose_at(self.now_ns).pose
         truth = self.pose
         return Pose(*(a - b for a, b in zip(found, truth, strict=True)))
-
-
-def test_nothing_yet():
-    estimate = Estimate()
-    assert estimate.pose_at(at(0.0)).note == "no position from the vehicle yet"
-    estimate.position(at(0.0), 1.0, 2.0, 0.0)
-    found = estimate.pose_at(at(0.1))
-    assert (found.healthy, found.note) == (False, "no attitude from the vehicle yet")
-    estimate.attitude(at(0.1), 0.5, 0.0)
-    assert estimate.pose_at(at(0.1)).healthy
-
-
-def test_goes_on_as_it_was_measured():
-    estimate = Estimate()
-    estimate.position(at(0.0), 1.0, 2.0, 0.8)
-    estimate.attitude(at(0.04), 0.5, 0.0)
-    found = estimate.pose_at(at(0.1))
-    assert found.pose == pytest.approx((1.0 + 0.08 * cos(0.5), 2.0 + 0.08 * sin(0.5), 0.5, 0.8, 0.0))
-
-
-def test_turns_on_as_it_was_measured():
-    estimate = Estimate()
-    estimate.attitude(at(0.0), 3.1, 1.0)
-    estimate.position(at(0.02), 0.0, 0.0, 0.0)
-    assert estimate.pose_at(at(0.1)).pose.heading == pytest.approx(3.2 - 2 * pi)
 
 
 def test_a_heading_of_another_instant_than_the_position():
@@ -180,14 +155,6 @@ def test_a_jump_of_the_heading():
     assert (found.healthy, found.note) == (False, "its heading jumped by 30 degrees")
 
 
-def test_a_heading_over_the_half_turn_is_no_jump():
-    estimate = Estimate()
-    estimate.position(at(0.0), 0.0, 0.0, 0.0)
-    estimate.attitude(at(0.0), pi - 0.01, 0.5)
-    estimate.attitude(at(0.04), -pi + 0.01, 0.5)
-    assert estimate.pose_at(at(0.04)).healthy
-
-
 def test_a_gap_forgives_more():
     estimate = filled()
     now = at(3.0)
@@ -209,13 +176,6 @@ def test_what_is_not_a_number_is_not_used(bad: float):
     assert estimate.pose_at(at(1.08)).healthy
 
 
-def test_samples_out_of_order_are_passed_over():
-    estimate = filled()
-    estimate.position(at(0.96), 9.0, 9.0, 1.0)
-    estimate.attitude(at(0.96), 2.0, 1.0)
-    assert estimate.pose_at(at(1.0)) == (Pose(0.0, 0.0, 0.0, 0.0, 0.0), True, "")
-
-
 def test_a_clock_set_back_begins_anew():
     estimate = filled(10.0)
     estimate.position(at(5.0), 2.0, 1.0, 0.0)
@@ -223,12 +183,6 @@ def test_a_clock_set_back_begins_anew():
     found = estimate.pose_at(at(5.0))
     assert found.healthy
     assert found.pose == (2.0, 1.0, 1.0, 0.0, 0.0)
-
-
-def test_forget():
-    estimate = filled()
-    estimate.forget()
-    assert not estimate.pose_at(at(1.0)).healthy
 
 
 def test_prediction_between_its_steps_and_beyond():

@@ -6,13 +6,10 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from handfast.agent.common.time import NS_PER_S
-from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.transport.port_diagnosis import TO_DO
 from handfast.plant.backend import Check
-from tests.rover_scene import Scene, heartbeat
+from tests.rover_scene import Scene
 from tests.unit.bridges.mavlink.looked import Looked
 
 
@@ -75,23 +72,6 @@ def test_a_link_that_carries_one_way_only_is_told_as_that() -> None:
     assert "SYSID_ENFORCE" not in advice, "the bridge is of the vehicle's own system"
 
 
-def test_a_slow_link_that_answers_now_and_then_answers() -> None:
-    looked = Looked()
-    looked.link.answered_ns = looked.found.now_ns - 60 * NS_PER_S
-    assert looked.line("link").level == "ok"
-
-
-def test_after_a_reboot_it_has_to_answer_again() -> None:
-    scene = Scene(boot_s=10.0)
-    scene.run(7.0)
-    assert scene.bridge.link.answered_ns is not None
-    cut(scene)
-    scene.rover.reboot()
-    scene.until(lambda: scene.bridge.link.answered_ns is None, 3.0)
-    scene.run(6.0)
-    assert "answers nothing" in scene.bridge.blocking["link"]
-
-
 def test_a_vehicle_of_another_id_is_told_with_what_helps() -> None:
     scene = Scene("robot_defaults.mavlink.system=2", system=1)
     scene.run(3.0)
@@ -123,30 +103,3 @@ def test_rates() -> None:
     refused = with_stream(asked_hz=50.0)
     assert (refused.level, refused.found) == ("warning", "25.0 Hz of 50 Hz")
     assert "state_rate_hz = 25" in refused.advice
-
-
-def test_round_trip() -> None:
-    looked = Looked()
-    assert looked.line("round trip").found == "20 ms"
-    assert looked.line("round trip", round_trip_s=0.2).level == "warning"
-    assert looked.line("round trip", round_trip_s=0.6).level == "blocking"
-    assert looked.line("round trip", round_trip_s=None).found == "waiting for an answer to TIMESYNC"
-    assert looked.line("round trip", round_trip_s=None, heard_s=10.0).level == "warning"
-    slow = looked.line("round trip", clock="its clock runs at 0.50 of ours")
-    assert slow.level == "warning"
-    assert "0.50" in slow.found
-
-
-def test_who_else_is_there() -> None:
-    scene_lines = Looked(ports=2)
-    scene = scene_lines.scene
-    scene.say(heartbeat())
-    scene.say(heartbeat(mavlink.MAV_TYPE_GROUND_ROVER, constants.AUTOPILOT_ARDUPILOT), system=5, component=1)
-    scene.say(heartbeat(mavlink.MAV_TYPE_ONBOARD_CONTROLLER), system=1, component=192)
-    scene.run(0.5)
-    scene_lines.found = scene_lines.found._replace(now_ns=scene.now_ns)
-    assert scene_lines.line("ground station") == Check("ground station", "ok", "system 255")
-    assert scene_lines.line("other vehicles").level == "warning"
-    assert "5" in scene_lines.line("other vehicles").found
-    assert scene_lines.line("other bridges").level == "blocking"
-    assert "component 192" in scene_lines.line("other bridges").found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.rover_scene import Scene, heartbeat
+from tests.rover_scene import heartbeat
 from tests.unit.bridges.mavlink.looked import SAFE, Looked
 
 
@@ -101,16 +101,6 @@ def test_how_it_steers(outputs: dict[str, float], level: str, found: str, reads:
     assert len(outputs_asked) == 2 + reads, "each read costs the link"
 
 
-def test_outputs_that_are_not_told_are_a_warning_and_waited_for_until_then() -> None:
-    looked = Looked(seconds=1.0)
-    assert looked.line("steering").found == "waiting for its steering"
-    looked = Looked()
-    for name in SKID:
-        looked.link._parameters.values[name] = None
-    line = looked.line("steering")
-    assert (line.level, line.found) == ("warning", "its outputs (SERVOn_FUNCTION) are not told")
-
-
 @pytest.mark.parametrize(
     ("fence", "avoid", "told", "asked"),
     [
@@ -133,21 +123,3 @@ def test_a_fence_before_which_it_stays_in_guided_is_told(
         assert line.advice.startswith("set 0, and FENCE_ACTION 2")
     reads = [m.param_id for _, m in looked.scene.bridge.port.messages("PARAM_REQUEST_READ")]
     assert reads.count("AVOID_ENABLE") == asked
-
-
-def test_the_reads_of_a_usual_rover_are_few() -> None:
-    """A radio of 57600 baud carries them besides all else."""
-    for new_names, most in ((False, 22), (True, 21)):
-        scene = Scene(new_names=new_names)
-        scene.run(6.0)
-        asked = scene.bridge.port.messages("PARAM_REQUEST_READ")
-        assert len(asked) <= most
-        assert sum(len(m.get_msgbuf()) for _, m in asked) <= 640
-
-
-def test_failsafes_that_it_does_not_tell_of_are_named() -> None:
-    looked = Looked(parameters=SAFE)
-    assert looked.line("parameters").level == "ok"
-    looked.link._parameters.values["FS_EKF_ACTION"] = None
-    line = looked.line("parameters")
-    assert (line.level, line.found) == ("warning", "FS_EKF_ACTION not told")

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from handfast.bridges.mavlink.ardupilot import constants
-from handfast.bridges.mavlink.bridge.preflight_checks import CHECKS, FIRST
+from handfast.bridges.mavlink.bridge.preflight_checks import CHECKS
 from handfast.plant.backend import WAITING
 from tests.rover_scene import Scene
 from tests.unit.bridges.mavlink.looked import SAFE, Looked
@@ -56,14 +55,6 @@ def test_nothing_is_well_before_it_was_looked_at(boot: str) -> None:
     assert {"place", "steering", "parameters", "round trip", "firmware", "battery"} <= waited
 
 
-@pytest.mark.parametrize("name", [name for name, _ in CHECKS if name not in FIRST])
-def test_a_check_that_says_nothing_waits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    looked = Looked()
-    silent = tuple((each, check if each != name else lambda _: ()) for each, check in CHECKS)
-    monkeypatch.setattr("handfast.bridges.mavlink.bridge.preflight_checks.CHECKS", silent)
-    assert (looked.line(name).level, looked.line(name).found) == ("blocking", f"waiting for its {name}")
-
-
 @pytest.mark.parametrize(
     ("forget", "name", "later"),
     [
@@ -79,33 +70,6 @@ def test_what_it_never_tells_is_waited_for_a_while(forget: dict[str, Any], name:
     assert looked.line(name, heard_s=9.9).found == f"waiting for its {name}"
     told = looked.line(name, heard_s=10.0)
     assert (told.level, told.found) == ("warning", later)
-
-
-def test_a_position_that_is_lost_again_is_waited_for_again() -> None:
-    looked = Looked()
-    scene = looked.scene
-    scene.run(0.5)
-    assert scene.bridge.check("place").level == "ok"
-    message = constants.MESSAGE_LOCAL_POSITION_NED
-    looked.link._handlers[message] = lambda _arrival_ns, _message: None
-    scene.run(1.5)
-    assert scene.bridge.check("place").found == "waiting for its position"
-
-
-def test_nothing_more_is_said_of_a_vehicle_of_another_kind() -> None:
-    looked = Looked(vehicle_type=constants.TYPE_QUADROTOR)
-    assert looked.names() == ["link", "type"]
-    assert looked.line("type").level == "blocking"
-    assert looked.line("type").found == "is a quadrotor (MAV_TYPE 2), not a rover"
-    assert Looked(vehicle_type=constants.TYPE_SURFACE_BOAT).line("type").level == "ok"
-
-
-@pytest.mark.parametrize(
-    ("firmware", "level"),
-    [((4, 2, 3), "warning"), ((4, 3, 0), "ok"), ((4, 10, 0), "ok"), ((3, 9, 9), "warning")],
-)
-def test_old_firmware_is_told(firmware: tuple[int, int, int], level: str) -> None:
-    assert Looked(firmware=firmware, seconds=3.0).line("firmware").level == level
 
 
 def test_mode_and_arming_are_the_operators_or_the_bridges() -> None:

@@ -16,7 +16,6 @@ from handfast.bridges.mavlink.bridge.setpoint import (
     LEAD_YAW_S,
     REPORT_DEAD_BAND,
     SPEED_BAND,
-    STEP_MAX_S,
     YAW_RATE_BAND,
     Bounds,
     MotionCheck,
@@ -74,38 +73,6 @@ def test_through_zero_into_reverse():
     assert speeds[-1] < -0.3
     steps = [b - a for a, b in pairwise(speeds[1:])]
     assert steps == pytest.approx([-0.5 * DT] * len(steps))
-
-
-def test_own_limits():
-    made = setpoint(Bounds(speed=0.6, acceleration=0.4, yaw_rate=0.5))
-    push(made, 5.0, 0.0, 2 * DT)
-    assert made.force == pytest.approx(MASS * 0.4)
-    speed, yaw_rate = push(made, 5.0, 5.0, 4.0)
-    assert (speed, yaw_rate) == (0.6, 0.5)
-    assert (made.speed, made.yaw_rate) == (0.6, 0.5)
-    assert (made.force, made.torque) == (0.0, 0.0)  # nothing acts against a limit
-    push(made, -0.2, 0.0, 2 * DT)
-    assert made.force == pytest.approx(MASS * -0.2)
-    assert made.speed < 0.6
-
-
-def test_the_vehicles_limits():
-    made = setpoint(Bounds(9.0, 9.0, 9.0), Limits(speed=0.5, acceleration=0.3, yaw_rate=0.4))
-    push(made, 5.0, 0.0, 2 * DT)
-    assert made.force == pytest.approx(MASS * 0.3)
-    assert push(made, 5.0, 5.0, 5.0) == (0.5, 0.4)
-    assert push(made, -5.0, -5.0, 9.0) == (-0.5, -0.4)
-
-
-def test_a_vehicles_limit_of_zero_is_none():
-    made = setpoint(Bounds(2.0, 1.0, 1.0), Limits(0.0, 0.0, 0.0, 0.0))
-    assert push(made, 1.0, 1.0, 4.0) == (2.0, 1.0)
-
-
-def test_a_fast_rover_turns_slowly():
-    made = setpoint(Bounds(3.0, 2.0, 5.0), Limits(speed=5.0, acceleration=3.0, yaw_rate=5.0, turn_g=0.2))
-    speed, yaw_rate = push(made, 2.0, 2.0, 5.0)
-    assert speed * yaw_rate == pytest.approx(0.2 * 9.80665)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -198,13 +165,6 @@ def test_a_huge_wrench_is_limited():
     assert (made.speed, made.yaw_rate) == (1.0, -1.0)
 
 
-def test_a_step_that_comes_late_does_not_leap():
-    made = setpoint()
-    made.step(DT, Command(MASS * 0.8, 0.0), REST, NONE)
-    speed, _ = made.step(30.0, Command(MASS * 0.8, 0.0), REST, NONE)
-    assert speed == pytest.approx(0.8 * STEP_MAX_S + 0.8 * (LEAD_SPEED_S + STEP_MAX_S / 2))
-
-
 # ---------------------------------------------------------------------- motion follows
 
 
@@ -220,15 +180,6 @@ def test_a_stuck_rover_is_told_of():
     note = checked((0.5, 0.0), Residual(-0.48, 0.0), DISAGREES_S)
     assert note == "does not follow its commands: asked for 0.50 m/s, moves at 0.02 m/s"
     assert checked((-0.5, 0.0), Residual(0.48, 0.0), 4.0).endswith("asked for -0.50 m/s, moves at -0.02 m/s")
-
-
-def test_one_that_does_not_turn_is_told_of():
-    note = checked((0.3, 0.6), Residual(0.0, -0.6), 4.0)
-    assert note == "does not follow its commands: asked for 0.60 rad/s, turns at 0.00 rad/s"
-
-
-def test_one_that_moves_unasked_is_told_of():
-    assert checked((0.0, 0.0), Residual(0.4, 0.0), 4.0).endswith("asked for 0.00 m/s, moves at 0.40 m/s")
 
 
 @pytest.mark.parametrize(

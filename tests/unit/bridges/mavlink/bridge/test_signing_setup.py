@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.mavlink_section import MavlinkSection
-from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.bridge.signing_setup import (
     CONFIRM_NS,
     GIVE_MAX,
@@ -33,13 +32,6 @@ from handfast.bridges.mavlink.simulator.settings import settings_of
 from tests.rover_scene import START_NS, Bridge, Scene, World, heartbeat, rovers
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
-
-
-def signed_beat(key: bytes) -> bytes:
-    """A ground station's heartbeat."""
-    station = mavlink.MAVLink(None, 255, 190)
-    station.signing.secret_key, station.signing.sign_outgoing = key, True
-    return bytes(heartbeat().pack(station))
 
 
 class Bench:
@@ -110,23 +102,6 @@ def test_one_that_has_the_key_is_not_given_it_again(bench: MakeBench, armed: boo
     assert made.given == []
 
 
-def test_one_whose_signing_time_is_behind_learns_ours(bench: MakeBench) -> None:
-    """More than a minute: what it signs is too old at first, though it has the key."""
-    made = bench(port=1, signing_key=KEY, stamps_ns=100 * NS_PER_S)
-    assert made.run() == Outcome(True, "had its key already, and signs (system 1)")
-
-
-def test_one_that_learns_it_late_is_not_taken_for_one_with_another_key(bench: MakeBench) -> None:
-    made = bench(port=1, signing_key=KEY, stamps_ns=100 * NS_PER_S)
-
-    def lose_what_is_sent() -> None:
-        if made.time < 3.2:
-            made.world.to_rover.clear()
-
-    assert made.run(lose_what_is_sent).done
-    assert made.time > 3.2
-
-
 @pytest.mark.parametrize("port", [0, 1])
 def test_one_with_another_key_keeps_it(bench: MakeBench, port: int) -> None:
     made = bench(port=port, signing_key=OTHER_KEY)
@@ -141,13 +116,6 @@ def test_an_armed_one_is_refused(bench: MakeBench) -> None:
     outcome = made.run()
     assert not outcome.done
     assert "disarm it first" in outcome.text
-    assert made.given == []
-
-
-def test_no_rover_is_given_no_key(bench: MakeBench) -> None:
-    made = bench(vehicle_type=constants.TYPE_QUADROTOR)
-    outcome = made.run()
-    assert outcome == Outcome(False, "it is a quadrotor (MAV_TYPE 2), not a rover: given no key")
     assert made.given == []
 
 
@@ -167,39 +135,6 @@ def test_of_several_on_a_link_the_one_that_is_named(bench: MakeBench, system: in
         assert outcome.text == "systems 1, 9 are on this link: say which is meant, with mavlink.system"
 
 
-@pytest.mark.parametrize("settings", [{"hand_over": True}, {"signing_key": KEY}], ids=["armed", "has_it"])
-def test_nothing_is_said_of_a_vehicle_before_the_others_were_heard(
-    bench: MakeBench, settings: dict[str, Any]
-) -> None:
-    made = bench(**settings)
-    other = mavlink.MAVLink(None, 9, 1)
-    beat = heartbeat(mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
-
-    def speak_late() -> None:
-        if made.time > 1.8:
-            made.port.arriving.append((made.world.now_ns, beat.pack(other)))
-
-    assert made.run(speak_late).text.startswith("systems 1, 9 are on this link")
-
-
-def test_a_signature_of_somebody_else_is_not_the_vehicles(bench: MakeBench) -> None:
-    """A ground station that signs for other vehicles, passed on by a router."""
-    made = bench(system=1)
-    beat = signed_beat(OTHER_KEY)
-    outcome = made.run(lambda: made.port.arriving.append((made.world.now_ns, beat)))
-    assert outcome == Outcome(True, "signs with its key from now on (system 1)")
-
-
-def test_a_lost_message_is_sent_again(bench: MakeBench) -> None:
-    made = bench()
-
-    def lose_the_first() -> None:
-        made.port.cut = not made.given and made.time > 1.5
-
-    assert made.run(lose_the_first).done
-    assert len(made.given) == 2
-
-
 def test_one_that_does_not_sign_is_told(bench: MakeBench) -> None:
     made = bench()
     outcome = made.run(made.world.to_rover.clear)
@@ -207,34 +142,6 @@ def test_one_that_does_not_sign_is_told(bench: MakeBench) -> None:
     assert outcome.text.startswith("it was given the key and does not sign with it: ")
     assert len(made.given) == GIVE_MAX
     assert made.time < 4.0 + CONFIRM_NS / NS_PER_S
-
-
-def test_what_it_says_about_it_is_told(bench: MakeBench) -> None:
-    """Armed by its operator in the moment in which it was given the key."""
-    made = bench()
-
-    def arm() -> None:
-        if made.given and not made.rover.armed:
-            assert made.rover.set_mode("GUIDED")
-            assert made.rover.arm()
-
-    outcome = made.run(arm)
-    assert not outcome.done
-    assert "but says: ERROR: Won't setup signing when armed" in outcome.text
-
-
-def test_an_answer_that_is_kept_back_is_told_and_no_failure(bench: MakeBench) -> None:
-    made = bench()
-    heard: list[str] = []
-
-    def deafen_once_it_has_the_key() -> None:
-        heard.extend(made.rover.take_log())
-        if "signs from now on" in heard:
-            made.world.to_rover.clear()
-
-    outcome = made.run(deafen_once_it_has_the_key)
-    assert outcome.done
-    assert "has answered nothing yet" in outcome.text
 
 
 def test_silence_and_a_closed_connection_are_told(bench: MakeBench) -> None:
@@ -245,18 +152,6 @@ def test_silence_and_a_closed_connection_are_told(bench: MakeBench) -> None:
     closed = bench()
     closed.port.cut, closed.port.trouble = True, "cannot open tcp:1.2.3.4:5760: connection refused"
     assert closed.run() == Outcome(False, closed.port.trouble)
-
-
-def test_a_connection_that_was_opened_again_is_listened_to_anew(bench: MakeBench) -> None:
-    made = bench()
-
-    def reopen() -> None:
-        if 1.0 < made.time < 1.05:
-            made.port.epoch += 1
-
-    assert made.run(reopen).done
-    (first, *_) = made.port.messages("SETUP_SIGNING")
-    assert (first[0] - START_NS) / NS_PER_S > 3.0
 
 
 class Ticking:
@@ -274,20 +169,6 @@ class Ticking:
 
     def begin(self, epoch_ns: int) -> None:
         pass
-
-
-def test_all_go_side_by_side_and_each_is_told_once(bench: MakeBench) -> None:
-    good, armed = bench(), bench(hand_over=True)
-    told: list[tuple[int, bool]] = []
-    clock = Ticking([good.world, armed.world])
-    give_keys(
-        {4: good.setup, 5: armed.setup},
-        clock,
-        lambda: False,
-        lambda robot, outcome: told.append((robot, outcome.done)),
-    )
-    assert sorted(told) == [(4, True), (5, False)]
-    assert good.time < 6.0
 
 
 def test_an_interrupt_ends_it(bench: MakeBench) -> None:
@@ -351,14 +232,6 @@ def test_a_bridge_without_a_key_is_told_that_the_vehicle_takes_nothing_unsigned(
     assert line.advice == "name its key in mavlink.signing_key"
 
 
-def test_on_the_first_serial_port_it_may_do_without(scene: MakeScene) -> None:
-    made = scene(b"", KEY)
-    made.run(3.0)
-    line = made.bridge.check("signing")
-    assert (line.level, line.advice) == ("warning", "name its key in mavlink.signing_key")
-    assert "takes what is not signed" in line.found
-
-
 @pytest.mark.parametrize("vehicle_key", [b"", OTHER_KEY], ids=["unsigned", "another_key"])
 def test_a_vehicle_without_the_key_is_one_for_this_command(scene: MakeScene, vehicle_key: bytes) -> None:
     made = scene(KEY, vehicle_key)
@@ -366,22 +239,3 @@ def test_a_vehicle_without_the_key_is_one_for_this_command(scene: MakeScene, veh
     line = made.bridge.check("link")
     assert line.level == "blocking"
     assert "handfast signing" in line.advice
-
-
-def test_a_stray_signature_does_not_count_against_the_vehicle(scene: MakeScene) -> None:
-    made = scene(KEY, KEY)
-    made.run(3.0)
-    assert made.bridge.check("signing").level == "ok"
-    made.bridge.port.arriving.append((made.now_ns, signed_beat(OTHER_KEY)))
-    made.run(1.0)
-    line = made.bridge.check("signing")
-    assert line.level == "warning"
-    assert line.found == "on; refused for another key's or an old signature: 1 messages"
-
-
-def test_a_station_that_signs_is_not_a_vehicle_that_signs(scene: MakeScene) -> None:
-    made = scene(b"", b"")
-    made.run(3.0)
-    made.bridge.port.arriving.append((made.now_ns, signed_beat(OTHER_KEY)))
-    made.run(1.0)
-    assert made.bridge.check("signing").found == "messages are not signed"

@@ -48,15 +48,6 @@ def test_an_answer_ends_it(result: int, state: str, text: str) -> None:
     assert commands.due(10 * COMMAND_TIMEOUT_NS) == []
 
 
-def test_an_answer_that_nobody_waits_for_is_ignored() -> None:
-    commands = Commands()
-    commands.answered(0, MODE, constants.RESULT_ACCEPTED)
-    assert commands.outcome(MODE) is None
-    commands.give(MODE, 1, 15)
-    commands.answered(0, MODE, constants.RESULT_DENIED)  # to an earlier one: this has not been sent
-    assert commands.outcome(MODE) == Outcome("waiting")
-
-
 def test_one_in_progress_gets_more_time() -> None:
     commands = asked()
     commands.answered(0, MODE, constants.RESULT_IN_PROGRESS)
@@ -71,32 +62,3 @@ def test_one_overtaken_by_events_is_not_repeated_but_may_be_answered() -> None:
     assert commands.due(COMMAND_TIMEOUT_NS - 1) == []
     commands.answered(COMMAND_TIMEOUT_NS - 1, MODE, constants.RESULT_ACCEPTED)
     assert commands.outcome(MODE) == Outcome("accepted", constants.RESULT_ACCEPTED)
-
-
-def test_one_that_was_not_sent_yet_is_not_overtaken() -> None:
-    commands = Commands()
-    commands.give(MODE, 1, 15)
-    commands.no_more(MODE)
-    assert commands.due(0) == [(MODE, 0, VALUES)]
-
-
-def test_what_waits_for_the_link_is_cancelled() -> None:
-    commands = asked()
-    commands.give(ARM, 1)
-    commands.cancel()
-    assert commands.due(COMMAND_TIMEOUT_NS) == []
-    assert commands.outcome(MODE) == commands.outcome(ARM) == Outcome("no answer")
-
-
-def test_a_later_command_of_its_number_takes_its_place() -> None:
-    commands = asked()
-    commands.give(MODE, 1, 4)
-    assert commands.due(1) == [(MODE, 0, (1.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0))]
-
-
-def test_an_outcome_is_taken_once_and_only_when_it_is_final() -> None:
-    commands = asked()
-    assert commands.take(MODE) is None
-    commands.answered(1, MODE, constants.RESULT_ACCEPTED)
-    assert commands.take(MODE) == Outcome("accepted", constants.RESULT_ACCEPTED)
-    assert commands.take(MODE) is None

@@ -177,13 +177,6 @@ def test_an_identity_that_is_anothers_is_refused(settings: dict[str, Any]) -> No
         SessionSettings(**settings)
 
 
-def test_a_heartbeat_grows_old() -> None:
-    link, _ = joined()
-    assert link.connected(T0 + 2 * NS_PER_S)
-    assert not link.connected(T0 + 3 * NS_PER_S)
-    assert link.absence(T0 + 4 * NS_PER_S) == "no heartbeat of the vehicle for 4.0 s"
-
-
 # What it sends by itself.
 
 
@@ -195,13 +188,6 @@ def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_tick() -> None:
     assert [time for time, _ in sent] == pytest.approx([0, 1, 2, 3, 4], abs=0.05)
     assert {(m.get_srcSystem(), m.get_srcComponent()) for _, m in sent} == {(3, 191)}
     assert not named(Session(SessionSettings()).tick(T0), "COMMAND_LONG")
-
-
-def test_messages_are_numbered() -> None:
-    link, _ = joined()
-    numbers = [message.get_seq() for message in read(link.tick(T0) + link.setpoint(0.1, 0.0))]
-    assert numbers == list(range(len(numbers)))
-    assert len(numbers) > 2
 
 
 def test_timesync_four_times_a_second_bounds_the_clock() -> None:
@@ -231,51 +217,6 @@ def requests(data: bytes, command: int) -> list[Any]:
     return [m for m in named(data, "COMMAND_LONG") if m.command == command]
 
 
-def test_message_rates_are_asked_for_one_after_the_other_and_lowered_when_denied() -> None:
-    link, rover = joined()
-    asked, now_ns = [], T0
-    for _ in range(20):
-        for message in requests(link.tick(now_ns), constants.CMD_SET_MESSAGE_INTERVAL):
-            asked.append((round(message.param1), round(message.param2)))
-            assert (message.target_system, message.target_component) == (3, 1)
-            denied = message.param1 == constants.MESSAGE_ATTITUDE and message.param2 < 50_000
-            result = constants.RESULT_DENIED if denied else constants.RESULT_ACCEPTED
-            link.receive(now_ns + 20 * MS, rover.command_ack(511, result, 0, 0, 3, 191))
-        now_ns += TICK_NS
-    assert asked[:3] == [(30, 40_000), (30, 50_000), (32, 40_000)]
-    assert len(asked) == 7
-    rows = {row.name: row for row in link.streams(now_ns)}
-    assert (rows["ATTITUDE"].granted_hz, rows["LOCAL_POSITION_NED"].granted_hz) == (20.0, 25.0)
-    for index in range(75):
-        now_ns += TICK_NS
-        link.receive(now_ns, rover.position(1000 + 40 * index))
-    assert {r.name: r for r in link.streams(now_ns)}["LOCAL_POSITION_NED"].measured_hz == pytest.approx(25.0)
-
-
-def test_an_unanswered_request_is_repeated_three_times_and_passed_over() -> None:
-    link, rover = joined()
-    sent = [(t, m) for t, m in run(link, rover, T0, 4.0, "COMMAND_LONG") if m.command == 511]
-    assert [(t, round(m.param1), m.confirmation) for t, m in sent] == [
-        (0.0, 30, 0),
-        (1.0, 30, 1),
-        (2.0, 30, 2),
-        (pytest.approx(3.04, abs=0.05), 32, 0),
-    ]
-    assert link.streams(T0 + 4 * NS_PER_S)[0].answer == "no answer"
-
-
-def test_an_answer_to_somebody_else_is_not_ours() -> None:
-    link, rover = joined()
-    link.command_arm(True)
-    link.tick(T0)
-    link.receive(T0, rover.command_ack(400, 0, 0, 0, 255, 190))
-    assert state(link, 400) == "waiting"
-    link.receive(T0, rover.command_ack(400, 4, 0, 0, 3, 191))
-    outcome = link.outcome(400)
-    assert outcome is not None
-    assert (outcome.state, outcome.text) == ("refused", "failed")
-
-
 # Commands.
 
 
@@ -295,48 +236,6 @@ def test_arming_is_asked_three_times_and_never_forced() -> None:
         (50, 1.0, 0.0, 2),
     ]
     assert state(link, 400) == "no answer"
-
-
-def test_an_answer_before_the_question_is_to_an_earlier_one() -> None:
-    link, rover = joined()
-    assert link.outcome(400) is None
-    link.command_arm(False)
-    link.receive(T0, rover.command_ack(400, 0, 0, 0, 3, 191))
-    assert state(link, 400) == "waiting"
-    assert [m.param1 for m in requests(link.tick(T0), 400)] == [0.0]
-    link.receive(T0, rover.command_ack(400, 0, 0, 0, 3, 191))
-    assert state(link, 400) == "accepted"
-
-
-def test_a_command_in_progress_is_waited_for_not_repeated() -> None:
-    link, rover = joined()
-    link.command_arm(True)
-    link.tick(T0)
-    link.receive(T0, rover.command_ack(400, constants.RESULT_IN_PROGRESS, 0, 0, 3, 191))
-    assert state(link, 400) == "waiting"
-    link.receive(T0 + 2 * NS_PER_S, rover.alive())
-    assert not requests(link.tick(T0 + 2 * NS_PER_S), 400)
-    link.receive(T0 + 2 * NS_PER_S, rover.command_ack(400, 0, 0, 0, 3, 191))
-    assert state(link, 400) == "accepted"
-
-
-def test_an_order_that_waits_for_the_link_is_forgotten() -> None:
-    link, rover = joined()
-    link.receive(T0, rover.alive(armed=False))
-    later_ns = T0 + 10 * NS_PER_S
-    link.command_arm(True)
-    assert not requests(link.tick(later_ns), 400)
-    link.receive(later_ns, rover.alive(armed=False))
-    assert not requests(link.tick(later_ns), 400)
-
-
-def test_a_request_that_the_link_was_lost_over_is_made_at_once_when_it_is_back() -> None:
-    link, rover = joined()
-    assert requests(link.tick(T0), 511)
-    later_ns = T0 + 10 * NS_PER_S
-    link.tick(later_ns)
-    link.receive(later_ns, rover.alive())
-    assert [m.param1 for m in requests(link.tick(later_ns), 511)] == [constants.MESSAGE_ATTITUDE]
 
 
 @pytest.mark.parametrize(("mode", "armed"), [(constants.MODE_HOLD, False), (constants.MODE_GUIDED, True)])
@@ -411,48 +310,6 @@ def test_samples_come_in_order_once_and_finite() -> None:
     assert link.counts == {"out of order": 2, "not finite": 1}
 
 
-def test_samples_go_on_when_the_stamp_wraps() -> None:
-    link, rover = joined()
-    for stamp_ms in (2**32 - 40, 2**32 - 80, 0, 40):
-        link.receive(T0, rover.position(stamp_ms))
-    assert [s.stamp_ms for s in link.take_positions()] == [2**32 - 40, 0, 40]
-    assert link.counts == {"out of order": 1}
-    assert link.epoch == 0
-
-
-def test_a_long_text_is_joined_and_a_lost_end_waited_for_one_second() -> None:
-    link, rover = joined()
-    link.receive(T0, rover.statustext(4, b"a" * 50, 7, 0) + rover.statustext(6, b"short"))
-    link.receive(T0, rover.statustext(4, b"b\x07c", 7, 1))
-    assert [(t.severity, t.text) for t in link.take_texts()] == [(6, "short"), (4, "a" * 50 + "bc")]
-    link.receive(T0, rover.statustext(4, b"d" * 50, 8, 0))
-    link.tick(T0 + NS_PER_S)
-    assert link.take_texts() == []
-    link.tick(T0 + NS_PER_S + 1)
-    assert [t.text for t in link.take_texts()] == ["d" * 50]
-    link.receive(T0, rover.statustext(4, b"end", 9, 2))
-    assert [t.text for t in link.take_texts()] == ["...end"]
-
-
-def test_texts_without_end_stay_bounded() -> None:
-    link, rover = joined()
-    for chunk in range(100):
-        link.receive(T0, rover.statustext(4, b"x" * 50, 1, chunk))
-    assert [len(text.text) for text in link.take_texts()] == [1000, *[3 + 950] * 4]
-    for number in range(2, 102):
-        link.receive(T0, rover.statustext(4, b"x" * 50, number, 0))
-    assert 90 <= len(link.take_texts()) < 100
-    for _ in range(1000):
-        link.receive(T0, rover.statustext(4, b"x"))
-    assert len(link.take_texts()) == 256
-
-
-def test_a_text_with_a_chunk_lost_is_told_in_parts() -> None:
-    link, rover = joined()
-    link.receive(T0, rover.statustext(4, b"a" * 50, 7, 0) + rover.statustext(4, b"c", 7, 2))
-    assert [text.text for text in link.take_texts()] == ["a" * 50, "...c"]
-
-
 def test_parameters_are_read_and_what_is_missing_is_said() -> None:
     link, rover = joined(SessionSettings(parameters=("FS_ACTION", "MAV_SYSID", "WP_SPEED")))
     asked = {m.param_id for _, m in run(link, rover, T0, 1.0, "PARAM_REQUEST_READ")}
@@ -495,20 +352,6 @@ def test_an_origin_that_is_no_place_is_not_believed(place: tuple[int, int]) -> N
     link, rover = joined()
     link.receive(T0, rover.gps_global_origin(*place, 0))
     assert link.origin is None
-
-
-def test_messages_of_no_use_are_skipped_unread() -> None:
-    link, rover = joined()
-    useless = bytearray(rover.vfr_hud(0, 0, 0, 0, 0, 0))
-    useless[-1] ^= 1
-    link.receive(T0, bytes(useless) + rover.alive(constants.MODE_HOLD))
-    assert link.mode == constants.MODE_HOLD
-    assert not link.counts
-    broken = bytearray(rover.alive())
-    broken[-1] ^= 1
-    link.receive(T0, bytes(broken))
-    assert link.counts == {"bad data": 1}
-    assert link.mode == constants.MODE_HOLD
 
 
 # Beginning anew.
@@ -554,15 +397,6 @@ def test_after_a_reboot_nothing_is_believed_and_all_is_asked_again(by: str) -> N
     assert link.mode == constants.MODE_HOLD
     link.receive(now_ns + TICK_NS, rover.position(1540))
     assert link.epoch == epoch + 1
-
-
-def test_after_a_reboot_the_parameters_are_read_again() -> None:
-    link, rover = known(SessionSettings(parameters=("WP_SPEED",)))
-    link.receive(T0, rover.param_value(b"WP_SPEED", 3.0, 9, 900, 6))
-    assert link.parameters_done
-    link.receive(T0 + NS_PER_S, rover.position(1500) + rover.alive())
-    assert link.parameters == {}
-    assert [m.param_id for m in named(link.tick(T0 + NS_PER_S), "PARAM_REQUEST_READ")] == ["WP_SPEED"]
 
 
 def test_a_message_that_is_merely_late_is_no_reboot() -> None:
@@ -616,28 +450,6 @@ def test_an_echo_is_not_another_bridge_a_twin_is() -> None:
     assert link.another_bridge(T0) == ""
     link.receive(T0, Speaker(3, 191).heartbeat(18, 8, 0, 78, 4, 3))
     assert "this bridge's own identity" in link.another_bridge(T0)
-
-
-def test_a_twin_that_is_only_heard_asking_for_the_time_is_found() -> None:
-    link, rover = joined(SessionSettings(token=77))
-    sent = link.tick(T0)
-    assert named(sent, "TIMESYNC")
-    link.restart()
-    link.receive(T0, rover.alive() + sent)  # an echo, even over a restart
-    link.receive(T0, Speaker(255, 190).timesync(0, 5) + Speaker(3, 193).timesync(0, 6))
-    assert link.another_bridge(T0) == ""
-    link.receive(T0, Speaker(3, 191).timesync(0, 12345))
-    assert "this bridge's own identity" in link.another_bridge(T0)
-    assert not [m for m in named(link.tick(T0), "TIMESYNC") if m.tc1]  # only the vehicle is answered
-
-
-def test_who_is_there_stays_bounded() -> None:
-    link, _ = joined()
-    for system in range(4, 250):
-        link.receive(T0, Speaker(system, 1).alive() + Speaker(system, 191).heartbeat(18, 8, 0, 0, 4, 3))
-    assert len(link.strangers) <= 32
-    link.receive(T0 + 6 * NS_PER_S, Speaker(3, 192).heartbeat(18, 8, 0, 0, 4, 3))
-    assert link.another_bridge(T0 + 6 * NS_PER_S)
 
 
 # Signing.

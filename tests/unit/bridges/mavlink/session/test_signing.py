@@ -42,12 +42,6 @@ def test_a_made_key_is_read_back_and_only_its_users(tmp_path: Path) -> None:
     assert make_key(tmp_path / "other") != key
 
 
-def test_a_key_is_bytes_or_digits(tmp_path: Path) -> None:
-    key = bytes(range(32))
-    assert load_key(write(tmp_path / "raw", key)) == key
-    assert load_key(write(tmp_path / "hex", key.hex().upper().encode() + b"\n", 0o400)) == key
-
-
 @pytest.mark.parametrize("data", [b"", bytes(31), bytes(33), b"g" * 64, b"0" * 63, bytes(10_000)])
 def test_anything_else_is_no_key(tmp_path: Path, data: bytes) -> None:
     with pytest.raises(SigningError, match="must be 32 bytes or 64 hexadecimal digits"):
@@ -110,25 +104,6 @@ def test_after_a_crash_the_next_process_begins_later_whatever_the_clock_says(tmp
     second_process.close()
 
 
-def test_what_is_stored_is_less_than_a_minute_ahead(tmp_path: Path) -> None:
-    path = tmp_path / "stamp"
-    stamps = Timestamps(path, NOW_NS)
-    assert NOW < stored(path) < NOW + 60 * STEPS_PER_S
-    stamps.close()
-
-
-def test_starting_it_again_and_again_does_not_run_away_from_the_clock(tmp_path: Path) -> None:
-    path = tmp_path / "stamp"
-    used = 0
-    for start in range(10):  # preflight, run, stop, and all that once more, in 20 s
-        stamps = Timestamps(path, NOW_NS + 2 * start * 10**9)
-        assert stamps.next(NOW_NS + 2 * start * 10**9) > used
-        used = stamps.next(NOW_NS + (2 * start + 1) * 10**9)
-        stamps.close()
-        assert stored(path) > used
-    assert used < NOW + 21 * STEPS_PER_S
-
-
 def test_a_disk_that_fails_is_told_and_does_not_stop_the_stamps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,11 +128,3 @@ def test_a_damaged_or_unreachable_file_is_told(tmp_path: Path) -> None:
         Timestamps(path, NOW_NS)
     with pytest.raises(SigningError, match="cannot keep the signing timestamp"):
         Timestamps(path / "below", NOW_NS)
-
-
-def test_the_state_folder_is_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    assert identity.state_file("my rovers/3") == tmp_path / "handfast" / "signing-my_rovers_3"
-    monkeypatch.setenv("XDG_STATE_HOME", "relative")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert identity.state_file("r") == tmp_path / ".local" / "state" / "handfast" / "signing-r"

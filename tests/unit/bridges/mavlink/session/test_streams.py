@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants
-from handfast.bridges.mavlink.session.streams import Streams, Wanted, wanted_messages
+from handfast.bridges.mavlink.session.streams import Streams, Wanted
 
 ATTITUDE = Wanted(constants.MESSAGE_ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
 GPS = Wanted(constants.MESSAGE_GPS_RAW_INT, "GPS_RAW_INT", (1.0,))
@@ -57,14 +57,6 @@ def test_without_an_answer_it_is_asked_again_later() -> None:
     assert streams.ask(3 * NS_PER_S)
 
 
-def test_temporarily_rejected_is_asked_again_at_the_same_rate() -> None:
-    streams = Streams((ATTITUDE,))
-    first = streams.ask(0)
-    streams.answered(0, constants.RESULT_TEMPORARILY_REJECTED)
-    assert streams.ask(NS_PER_S) is None
-    assert streams.ask(2 * NS_PER_S) == first
-
-
 def test_a_rate_that_is_kept_is_left_alone_and_measured() -> None:
     streams = Streams((ATTITUDE,))
     assert streams.ask(0)
@@ -73,15 +65,6 @@ def test_a_rate_that_is_kept_is_left_alone_and_measured() -> None:
     assert streams.ask(10 * NS_PER_S) is None
     row = streams.rows(10 * NS_PER_S)[0]
     assert abs(row.measured_hz - 25.0) < 0.5
-
-
-def test_what_came_before_it_was_granted_does_not_count() -> None:
-    streams = Streams((ATTITUDE,))
-    feed(streams, constants.MESSAGE_ATTITUDE, 0, 3 * NS_PER_S, 1.0)
-    assert streams.ask(3 * NS_PER_S)
-    streams.answered(3 * NS_PER_S, constants.RESULT_ACCEPTED)
-    feed(streams, constants.MESSAGE_ATTITUDE, 3 * NS_PER_S, 4 * NS_PER_S, 25.0)
-    assert abs(streams.rows(4 * NS_PER_S)[0].measured_hz - 25.0) < 0.5
 
 
 def test_less_than_seven_tenths_for_three_seconds_is_asked_again_ever_more_rarely() -> None:
@@ -98,38 +81,3 @@ def test_less_than_seven_tenths_for_three_seconds_is_asked_again_ever_more_rarel
     assert asked == [3, 9, 18, 33, 60]
     row = streams.rows(now_ns)[0]
     assert abs(row.measured_hz - 10.0) < 0.5
-
-
-def test_a_slow_message_is_judged_over_five_of_them() -> None:
-    streams = Streams((GPS,))
-    assert streams.ask(0)
-    streams.answered(0, constants.RESULT_ACCEPTED)
-    feed(streams, constants.MESSAGE_GPS_RAW_INT, 0, 4 * NS_PER_S, 0.5)
-    assert streams.ask(4 * NS_PER_S) is None
-    feed(streams, constants.MESSAGE_GPS_RAW_INT, 4 * NS_PER_S, 6 * NS_PER_S, 0.5)
-    assert streams.ask(6 * NS_PER_S) is not None
-
-
-def test_a_restart_begins_anew_at_the_first_rate() -> None:
-    streams = Streams((ATTITUDE,))
-    for result in (constants.RESULT_DENIED, constants.RESULT_ACCEPTED):
-        streams.ask(0)
-        streams.answered(0, result)
-    feed(streams, constants.MESSAGE_ATTITUDE, 0, 3 * NS_PER_S, 20.0)
-    streams.restart()
-    assert streams.rows(3 * NS_PER_S)[0].measured_hz == 0.0
-    assert streams.ask(3 * NS_PER_S) == (constants.MESSAGE_ATTITUDE, 40_000)
-
-
-def test_a_withdrawn_request_is_made_again() -> None:
-    streams = Streams((ATTITUDE,))
-    first = streams.ask(0)
-    streams.cancelled()
-    streams.answered(0, None)  # too late to mean anything
-    assert streams.ask(0) == first
-
-
-def test_rates_tried_are_below_the_one_wanted() -> None:
-    rates = {entry.name: entry.rates_hz for entry in wanted_messages(12.5)}
-    assert rates["ATTITUDE"] == rates["LOCAL_POSITION_NED"] == (12.5, 10.0, 5.0)
-    assert rates["HEARTBEAT"] == (5.0,)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, inf, nan, pi
+from math import inf, nan
 from statistics import mean
 
 import pytest
@@ -15,9 +15,6 @@ from handfast.bridges.mavlink.simulator.rover import Rover
 from handfast.bridges.mavlink.simulator.settings import Settings
 from tests.unit.bridges.mavlink.rover_bench import (
     ACCEPTED,
-    ATTITUDE_MASK_THRUST_AND_YAW_RATE,
-    MASK_POSITION,
-    MASK_VELOCITY,
     MASK_YAW_RATE,
     START_NS,
     Bench,
@@ -35,16 +32,6 @@ def test_speed_and_yaw_rate_are_taken_in_four_frames(frame: int) -> None:
     assert bench.rover.yaw_rate == pytest.approx(0.3, abs=0.01)
 
 
-@pytest.mark.parametrize("frame", [0, 2, 3, 12, 20])
-def test_other_frames_are_ignored_without_a_word(frame: int) -> None:
-    bench = ready()
-    since = bench.time
-    bench.run(2.0, lambda: bench.drive(0.5, 0.3, frame=frame))
-    assert (bench.rover.speed, bench.rover.yaw_rate) == (0.0, 0.0)
-    assert bench.texts(since + 0.03) == []
-    assert bench.of("COMMAND_ACK") == []
-
-
 def test_negative_vx_reverses_and_the_speed_is_that_of_the_vector() -> None:
     bench = ready()
     bench.run(4.0, lambda: bench.drive(-0.3, 0.3, vy=0.4))
@@ -59,19 +46,6 @@ def test_a_yaw_rate_alone_turns_on_the_spot() -> None:
     assert bench.rover.yaw_rate == pytest.approx(-0.4, abs=0.01)
 
 
-def test_a_velocity_vector_turns_to_its_course_and_drives_forward() -> None:
-    bench = ready(yaw=0.0)
-    bench.run(6.0, lambda: bench.drive(0.0, vy=-0.5, mask=MASK_VELOCITY, frame=1))
-    assert bench.rover.yaw == pytest.approx(-0.5 * pi, abs=0.03)
-    assert bench.rover.speed == pytest.approx(0.5, abs=0.02)
-
-
-def test_a_velocity_backwards_in_the_body_spins_for_ever() -> None:
-    bench = ready()
-    bench.run(15.0, lambda: bench.drive(-0.5, mask=MASK_VELOCITY))
-    assert abs(bench.rover.yaw) > 2.5 * pi
-
-
 @pytest.mark.parametrize(
     "mask",
     [
@@ -84,32 +58,6 @@ def test_masks_that_discard_the_whole_message(mask: int) -> None:
     bench = ready()
     bench.run(2.0, lambda: bench.drive(0.5, 0.3, mask=mask))
     assert (bench.rover.speed, bench.rover.yaw_rate) == (0.0, 0.0)
-
-
-def test_yaw_with_a_velocity_keeps_the_sign_of_vx() -> None:
-    bench = ready()
-    bench.run(6.0, lambda: bench.drive(-0.5, mask=0x9C7, frame=1, yaw=1.0))
-    assert bench.rover.yaw == pytest.approx(1.0, abs=0.03)
-    assert bench.rover.speed == pytest.approx(-0.5, abs=0.02)
-
-
-def test_an_attitude_target_gives_thrust_times_wp_speed() -> None:
-    bench = ready()
-    message = mavlink.MAVLink_set_attitude_target_message(
-        0, 1, 1, ATTITUDE_MASK_THRUST_AND_YAW_RATE, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.2, -0.25
-    )
-    bench.run(5.0, lambda: bench.send(message))
-    assert bench.rover.speed == pytest.approx(-0.75, abs=0.02)
-    assert bench.rover.yaw_rate == pytest.approx(0.2, abs=0.01)
-
-
-def test_a_place_is_gone_to_and_never_times_out() -> None:
-    bench = ready()
-    bench.drive(0.0, x=12.0, mask=MASK_POSITION, frame=constants.FRAME_BODY_OFFSET_NED)
-    bench.run(20.0)
-    assert 9.5 < hypot(bench.rover.north, bench.rover.east) < 12.5
-    assert bench.rover.speed == 0.0
-    assert not any("target not received" in text for text in bench.texts())
 
 
 @pytest.mark.parametrize("silent", ["HOLD", "MANUAL", "disarmed"])
@@ -165,44 +113,11 @@ def test_a_number_that_is_none_ends_the_autopilot(field: str, value: float) -> N
     assert [t for t, _, _ in bench.heard if t > since] == []
 
 
-def test_a_number_that_is_none_does_no_harm_where_it_is_ignored() -> None:
-    bench = ready()
-    bench.run(1.0, lambda: bench.drive(0.5, 0.0, x=nan, yaw=nan))
-    bench.run(1.0, lambda: bench.drive(nan, 0.2, vy=nan, mask=MASK_YAW_RATE))
-    assert not bench.rover.crashed
-    assert bench.rover.yaw_rate == pytest.approx(0.2, abs=0.01)
-
-
 @pytest.mark.parametrize(("enforce", "system", "moves"), [(0, 77, 1), (1, 77, 0), (1, 255, 1), (1, 1, 1)])
 def test_who_is_obeyed(enforce: int, system: int, moves: int) -> None:
     bench = ready(parameters={"SYSID_ENFORCE": enforce})
     bench.run(2.0, lambda: bench.drive(0.5, system=system))
     assert (bench.rover.speed > 0.4) == bool(moves)
-
-
-@pytest.mark.parametrize("new_names", [False, True])
-def test_whom_it_does_not_obey_it_does_not_answer(new_names: bool) -> None:
-    """Everything of theirs is dropped, parameter reads and questions for the time included."""
-    bench = ready(parameters={"SYSID_ENFORCE": 1}, new_names=new_names)
-    name = b"MAV_OPTIONS" if new_names else b"SYSID_ENFORCE"
-    ask = mavlink.MAVLink_param_request_read_message(1, 1, name, -1)
-    for system, answers in ((77, 0), (255, 1), (1, 1)):
-        since = bench.time
-        bench.send(ask, system=system, component=191)
-        bench.send(mavlink.MAVLink_timesync_message(0, 5), system=system, component=191)
-        bench.run(0.2)
-        assert len(bench.of("PARAM_VALUE", since)) == len(bench.of("TIMESYNC", since)) == answers
-    assert bench.last("PARAM_VALUE").param_value == 1.0
-
-
-def test_newer_firmware_has_newer_names_and_says_which_it_has_not() -> None:
-    bench = ready(new_names=True)
-    for name in (b"MAV_GCS_SYSID", b"SYSID_MYGCS"):
-        bench.send(mavlink.MAVLink_param_request_read_message(1, 1, name, -1))
-    bench.run(0.1)
-    assert bench.last("PARAM_VALUE").param_id == "MAV_GCS_SYSID"
-    error = bench.last("PARAM_ERROR")
-    assert (error.target_system, error.param_id) == (255, "SYSID_MYGCS")
 
 
 # Silence

@@ -15,13 +15,10 @@ from handfast.bridges.mavlink.simulator.__main__ import main, serve
 from handfast.bridges.mavlink.simulator.rover import Rover, Settings
 from handfast.bridges.mavlink.simulator.settings import SettingsError
 from handfast.bridges.mavlink.simulator.sockets import (
-    DATAGRAM_BYTES,
     Endpoint,
     TcpLine,
     UdpLine,
-    open_lines,
     parse_endpoint,
-    readable,
 )
 
 HOST = "127.0.0.1"
@@ -105,35 +102,6 @@ def test_udp_talks_to_whom_it_heard_first_until_that_is_silent(
     assert not listening.is_open
 
 
-def test_udp_joins_messages_but_never_cuts_one(listening: UdpLine, peers: list[socket.socket]) -> None:
-    peers[0].send(b"x")
-    came(listening.watched())
-    listening.receive(NOW_NS)
-    messages = [bytes([k]) * 280 for k in range(9)]
-    listening.send(messages)
-    got = []
-    while sum(map(len, got)) < 9 * 280:
-        came(peers[0])
-        got.append(peers[0].recv(4096))
-    assert b"".join(got) == b"".join(messages)
-    assert [len(data) for data in got] == [1120, 1120, 280]
-    assert max(map(len, got)) <= DATAGRAM_BYTES
-
-
-def test_udp_to_nobody_goes_on() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind((HOST, 0))
-        port = taken.getsockname()[1]
-    line = UdpLine(Endpoint("udp", HOST, port, False))
-    try:
-        for _ in range(5):
-            line.send([b"x"])
-            assert line.receive(NOW_NS) == b""
-        assert line.is_open
-    finally:
-        line.close()
-
-
 def test_tcp_loses_whole_messages_when_nobody_reads() -> None:
     line = TcpLine(Endpoint("tcp", HOST, 0, True))
     with socket.create_connection((HOST, line.endpoint.port)) as client:
@@ -155,24 +123,6 @@ def test_tcp_loses_whole_messages_when_nobody_reads() -> None:
     assert line.receive(NOW_NS) == b""
     assert not line.is_open
     line.close()
-
-
-def test_none_are_left_open_when_one_cannot_be() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind((HOST, 0))
-        port = taken.getsockname()[1]
-        with pytest.raises(SettingsError, match=f"cannot listen on udp:{HOST}:{port}: .*in use"):
-            open_lines([Endpoint("tcp", HOST, 0, True), Endpoint("udp", HOST, port, True)])
-
-
-def test_only_lines_with_something_are_named(listening: UdpLine, peers: list[socket.socket]) -> None:
-    other = UdpLine(Endpoint("udp", HOST, 0, True))
-    try:
-        peers[0].send(b"x")
-        came(listening.watched())
-        assert readable([other, listening]) == [(1, listening)]
-    finally:
-        other.close()
 
 
 class JumpingClock:

@@ -12,17 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_local
-from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, DENIED, FAILED, HOME, START_NS, Bench, ready
+from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, DENIED, HOME, START_NS, Bench, ready
 
 # Streams
-
-
-def test_at_first_everything_comes_once_a_second() -> None:
-    bench = Bench(boot="warm")
-    bench.run(10.0)
-    for name in ("HEARTBEAT", "ATTITUDE", "LOCAL_POSITION_NED", "SYS_STATUS", "GPS_RAW_INT"):
-        assert 9 <= len(bench.of(name)) <= 12, name
-    assert bench.of("ODOMETRY") == []
 
 
 @pytest.mark.parametrize(
@@ -35,12 +27,6 @@ def test_forty_a_second_are_granted_and_no_more(rate: float, result: int) -> Non
     bench.run(10.0)
     expected = rate if result == ACCEPTED else 1.0
     assert len(bench.of("LOCAL_POSITION_NED", since)) / 10.0 == pytest.approx(expected, rel=0.11)
-
-
-def test_the_ceiling_follows_the_loop_rate() -> None:
-    bench = Bench(boot="warm", parameters={"SCHED_LOOP_RATE": 25})
-    assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0) == DENIED
-    assert bench.interval(constants.MESSAGE_ATTITUDE, 20.0) == ACCEPTED
 
 
 def gaps(bench: Bench, rate: float) -> list[float]:
@@ -60,50 +46,6 @@ def test_25_hz_is_steady_and_40_hz_alternates() -> None:
     assert mean(alternating) == pytest.approx(0.025, abs=0.001)
     assert sum(abs(gap - 0.02) < 0.006 for gap in alternating) > 0.5 * len(alternating)
     assert sum(abs(gap - 0.04) < 0.006 for gap in alternating) > 0.15 * len(alternating)
-
-
-def test_intervals_belong_to_a_port_and_end_with_a_reboot() -> None:
-    bench = Bench(boot="warm", ports=2, boot_s=4.0)
-    assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0, port=1) == ACCEPTED
-    bench.run(4.0)
-    assert len(bench.of("ATTITUDE", port=0)) < 8
-    assert len(bench.of("ATTITUDE", port=1)) > 80
-    assert bench.command(constants.CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == ACCEPTED
-    bench.run(1.0)
-    since = bench.time
-    bench.run(4.0)
-    assert len(bench.of("ATTITUDE", since, port=1)) < 8
-
-
-def test_an_interval_can_be_asked_for_ended_and_brought_back() -> None:
-    bench = Bench(boot="warm")
-    assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0) == ACCEPTED
-    assert bench.command(constants.CMD_GET_MESSAGE_INTERVAL, constants.MESSAGE_ATTITUDE) == ACCEPTED
-    assert bench.last("MESSAGE_INTERVAL").interval_us == 40_000
-    for asked, count in ((-1, 0), (0, 5)):
-        assert (
-            bench.command(constants.CMD_SET_MESSAGE_INTERVAL, constants.MESSAGE_ATTITUDE, asked) == ACCEPTED
-        )
-        since = bench.time
-        bench.run(5.0)
-        assert len(bench.of("ATTITUDE", since)) == pytest.approx(count, abs=1)
-
-
-def test_messages_that_it_does_not_have_are_denied_in_words() -> None:
-    bench = Bench(boot="warm")
-    assert bench.interval(331, 10.0) == DENIED
-    assert "No ap_message for mavlink id (331)" in bench.texts()
-    assert bench.command(constants.CMD_REQUEST_MESSAGE, 331) == FAILED
-    assert bench.command(31_010) == constants.RESULT_UNSUPPORTED
-
-
-@pytest.mark.parametrize("message", [0, 1, 2, 24, 30, 32, 33, 49, 147, 148, 193, 242])
-def test_messages_come_when_they_are_asked_for(message: int) -> None:
-    bench = Bench(boot="warm")
-    bench.run(1.5)
-    since = bench.time
-    assert bench.command(constants.CMD_REQUEST_MESSAGE, message) == ACCEPTED
-    assert any(m.get_msgId() == message and t >= since for t, _, m in bench.heard)
 
 
 def test_a_change_of_mode_is_said_at_once() -> None:
@@ -165,17 +107,6 @@ def test_a_cold_boot() -> None:
     assert bench.last("GPS_RAW_INT").fix_type == constants.GPS_3D_FIX
 
 
-@pytest.mark.parametrize("boot", ["cold", "warm"])
-def test_it_creeps_while_it_boots(boot: str) -> None:
-    ways = []
-    for seed in range(20):
-        bench = Bench(boot=boot, boot_s=4.0, seed=seed)
-        bench.run(5.0)
-        ways.append(hypot(bench.rover.north, bench.rover.east))
-    assert 0.029 < min(ways) < 0.04
-    assert 0.08 < max(ways) < 0.091
-
-
 def test_positions_count_from_its_own_origin() -> None:
     bench = ready(home=HOME, yaw=0.7)
     bench.run(20.0, lambda: bench.drive(0.8, 0.1))
@@ -220,37 +151,3 @@ def test_an_origin_that_is_sent_early_is_taken_and_said() -> None:
     bench.run(2.0)
     at = bench.last("LOCAL_POSITION_NED")
     assert (at.x, at.y) == pytest.approx(geodetic_to_local(datum, bench.rover.place), abs=0.05)
-
-
-def test_before_its_ekf_runs_an_origin_is_lost() -> None:
-    bench = Bench(home=HOME)
-    bench.run(3.0)
-    bench.send(origin_message(Geodetic(47.4, 8.5)))
-    bench.run(5.0)
-    assert bench.rover.origin is None
-    assert bench.command(constants.CMD_REQUEST_MESSAGE, constants.MESSAGE_GPS_GLOBAL_ORIGIN) == ACCEPTED
-    assert bench.of("GPS_GLOBAL_ORIGIN") == bench.of("LOCAL_POSITION_NED") == []
-
-
-def test_an_origin_that_is_sent_late_is_refused_without_a_word() -> None:
-    bench = Bench(boot="warm", home=HOME)
-    bench.run(1.0)
-    own = bench.rover.origin
-    since = bench.time
-    bench.run(5.0, lambda: bench.send(origin_message(Geodetic(47.4, 8.5))), period_s=1.0)
-    assert bench.rover.origin == own
-    assert bench.of("GPS_GLOBAL_ORIGIN", since) + bench.of("STATUSTEXT", since) == []
-
-
-def test_a_lagging_gps_puts_it_behind() -> None:
-    bench = ready(parameters={"SIM_GPS1_LAG_MS": 300})
-    bench.run(15.0, lambda: bench.drive(1.0))
-    origin = bench.rover.origin
-    assert origin is not None
-    assert bench.interval(constants.MESSAGE_LOCAL_POSITION_NED, 25.0) == ACCEPTED
-    behind = []
-    for _ in range(100):
-        bench.run(0.02, lambda: bench.drive(1.0))
-        behind.append(geodetic_to_local(origin, bench.rover.place)[0] - bench.last("LOCAL_POSITION_NED").x)
-    # What it says is also up to two loops old.
-    assert mean(behind) == pytest.approx(0.19 + 0.03, abs=0.04)

@@ -32,15 +32,6 @@ def test_arming_is_refused_in_words_before_it_is_ready() -> None:
     assert not bench.rover.armed
 
 
-def test_arming_by_force_before_it_is_ready_ends_the_autopilot() -> None:
-    bench = Bench()
-    bench.run(10.0)
-    bench.send(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, constants.FORCE_ARM, 0, 0, 0, 0, 0))
-    bench.run(1.0)
-    assert bench.rover.crashed
-    assert bench.of("COMMAND_ACK") == []
-
-
 def test_modes_by_command_and_by_message() -> None:
     bench = Bench(boot="warm")
     flag = constants.FLAG_CUSTOM_MODE
@@ -53,15 +44,6 @@ def test_modes_by_command_and_by_message() -> None:
     assert bench.command(constants.CMD_DO_SET_MODE, flag, 42) == FAILED
     assert bench.command(constants.CMD_DO_SET_MODE, 0, constants.MODE_GUIDED) == DENIED
     assert bench.rover.mode == "HOLD"
-
-
-def test_an_armed_rover_without_a_position_refuses_guided() -> None:
-    bench = Bench(parameters={"ARMING_CHECK": 0})
-    bench.run(10.0)
-    assert bench.rover.arm()
-    assert bench.command(constants.CMD_DO_SET_MODE, 1, constants.MODE_GUIDED) == FAILED
-    assert bench.texts()[-1] == "Flight mode change failed"
-    assert bench.rover.mode == "MANUAL"
 
 
 def test_the_operator_hands_over_once() -> None:
@@ -119,13 +101,6 @@ def test_the_ground_station_failsafe_counts_heartbeats_of_its_own_one() -> None:
     assert bench.rover.mode == "HOLD", "the operator has to ask for GUIDED again"
 
 
-def test_the_ground_station_failsafe_is_off_by_default() -> None:
-    bench = ready()
-    bench.run(1.0, bench.heartbeat)
-    bench.run(20.0, lambda: bench.drive(0.3))
-    assert bench.rover.mode == "GUIDED"
-
-
 @pytest.mark.parametrize(
     ("name", "value", "measured"), [("SIM_GPS1_JAM", 1, 11.4), ("SIM_GPS1_ENABLE", 0, 8.1)]
 )
@@ -170,54 +145,3 @@ def test_which_variances_of_its_ekf_are_a_failsafe(
     bench.run(1.5, lambda: bench.drive(0.3))
     assert bench.rover.mode == mode
     assert bench.last("EKF_STATUS_REPORT").velocity_variance == pytest.approx(velocity)
-
-
-def test_a_mode_is_said_at_once_and_a_disarm_with_the_heartbeat_that_is_due_anyway() -> None:
-    """Measured: 7 to 15 ms, and 0.13 s with a heartbeat five times a second."""
-    modes, disarms = [], []
-    for k in range(10):
-        bench = ready()
-        bench.interval(constants.MESSAGE_HEARTBEAT, 5.0)
-        bench.run(1.0 + 0.023 * k)
-        since = bench.time
-        bench.rover.disarm()
-        bench.run(0.5)
-        off = [t for t, _, m in bench.heard if m.get_type() == "HEARTBEAT" and t > since]
-        disarms.append(off[0] - since)
-        since = bench.time
-        bench.rover.set_mode("HOLD")
-        bench.run(0.1)
-        modes.append(bench.times("HEARTBEAT", since + 1e-6)[0] - since)
-    assert max(modes) <= 0.025
-    assert 0.15 < max(disarms) <= 0.23
-    assert sum(disarms) / len(disarms) > 0.05
-
-
-@pytest.mark.parametrize("outputs", [{}, {"SERVO1_FUNCTION": 26.0, "SERVO3_FUNCTION": 70.0}])
-def test_front_wheels_do_not_turn_it_on_the_spot(outputs: dict[str, float]) -> None:
-    bench = ready(parameters=outputs)
-    bench.run(3.0, lambda: bench.drive(0.0, 0.5))
-    turned = abs(bench.rover.yaw)
-    assert turned < 0.01 if outputs else turned > 1.0
-    bench.run(3.0, lambda: bench.drive(0.5, 0.4))
-    assert bench.rover.yaw_rate == pytest.approx(0.4, abs=0.02), "driving, both turn"
-
-
-def test_a_gps_that_is_jammed_from_the_start_never_makes_it_ready() -> None:
-    bench = Bench(parameters={"SIM_GPS1_JAM": 1})
-    bench.run(55.0)
-    assert bench.rover.origin is None
-    assert not bench.rover.ready
-    assert {m.fix_type for m in bench.of("GPS_RAW_INT")} == {constants.GPS_NO_FIX}
-    assert bench.command(constants.CMD_COMPONENT_ARM_DISARM, 1) == FAILED
-    assert bench.texts()[-1] == "Arm: GPS 1: Bad fix"
-
-
-def test_a_low_battery_acts_as_it_is_told() -> None:
-    bench = ready(parameters={"BATT_FS_LOW_ACT": 2})
-    bench.set_parameter("SIM_BATT_VOLTAGE", 10.0)
-    bench.run(11.0, lambda: bench.drive(0.2))
-    assert bench.rover.mode == "HOLD"
-    assert any("Battery 1 is low" in text for text in bench.texts())
-    assert bench.last("SYS_STATUS").voltage_battery == 10_000
-    assert bench.last("SYS_STATUS").battery_remaining == 0

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from handfast.bridges.mavlink.transport import port_diagnosis
 from handfast.bridges.mavlink.transport.connection_string import Unusable
 from handfast.bridges.mavlink.transport.port_diagnosis import (
     Finding,
@@ -102,14 +101,6 @@ def test_an_absent_port_names_those_that_are_there(machine: Machine) -> None:
     assert str(found.error) == f"{found.text}; to do: plug it in, or name the right one"
 
 
-def test_of_many_ports_some_are_named(machine: Machine) -> None:
-    for number in range(9):
-        machine.device(f"/dev/ttyUSB{number}")
-    found = machine.look("/dev/ttyACM3")
-    assert found is not None
-    assert found.text.endswith("/dev/ttyUSB4, /dev/ttyUSB5 and 3 more")
-
-
 def test_a_program_that_has_it_is_named_whatever_the_port_is_called(machine: Machine) -> None:
     machine.device(PORT)
     machine.link(BY_ID, "../../ttyUSB0")
@@ -121,15 +112,6 @@ def test_a_program_that_has_it_is_named_whatever_the_port_is_called(machine: Mac
         assert isinstance(found.error, Unusable)
 
 
-def test_of_many_programs_some_are_named(machine: Machine) -> None:
-    machine.device(PORT)
-    for number in (2, 3, 4, 10):
-        machine.process(number, "cat", has=PORT)
-    found = machine.look()
-    assert found is not None
-    assert found.text.endswith("(process 2, cat; process 3, cat; process 4, cat; and more)")
-
-
 def test_modem_manager_is_named_with_its_remedy_and_waited_for(machine: Machine) -> None:
     machine.device(PORT)
     machine.process(50, "/usr/sbin/ModemManager", has=PORT)
@@ -138,32 +120,6 @@ def test_modem_manager_is_named_with_its_remedy_and_waited_for(machine: Machine)
     assert found.text == "another program has it open (process 50, ModemManager)"
     assert "sudo systemctl disable --now ModemManager" in found.remedy
     assert found.transient
-
-
-@pytest.mark.parametrize("number", [errno.EBUSY, errno.EAGAIN])
-def test_another_users_program_cannot_be_seen(machine: Machine, number: int) -> None:
-    machine.device(PORT)
-    assert machine.look() is None
-    assert refused(PORT, number, machine.root) == Finding(
-        "another user's program has it open", f"sudo fuser -v {PORT} says which: end it"
-    )
-    machine.process(50, "/usr/sbin/ModemManager", hidden=True)
-    assert "ModemManager perhaps" in refused(PORT, number, machine.root).text
-    machine.process(60, "screen", has=PORT)
-    assert "process 60, screen" in refused(PORT, number, machine.root).text
-
-
-def test_a_login_on_it_is_told_though_its_process_is_roots(machine: Machine) -> None:
-    machine.device("/dev/ttyAMA0")
-    machine.link("/dev/serial0", "ttyAMA0")
-    machine.process(533, "/sbin/agetty", "--keep-baud", "115200,57600", "ttyAMA0", "vt220", hidden=True)
-    found = machine.look("/dev/serial0")
-    assert found is not None
-    assert found.text == "a Linux console is on it (process 533, agetty)"
-    assert "serial-getty@ttyAMA0" in found.remedy
-    assert "raspi-config" in found.remedy
-    machine.device("/dev/ttyS0")
-    assert machine.look("/dev/ttyS0") is None
 
 
 @pytest.mark.parametrize(
@@ -205,22 +161,3 @@ def test_who_may_not_is_told_why_and_what_to_do() -> None:
     assert late.remedy.startswith("log in again")
     assert "container" in forbidden("ann", "dialout", mode, mine=True, listed=True).remedy
     assert "udev" in forbidden("ann", "root", "crw-------", mine=False, listed=False).remedy
-
-
-def test_groups_are_looked_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    machine.device(PORT)
-    monkeypatch.setattr(port_diagnosis.os, "getgroups", list)
-    monkeypatch.setattr(port_diagnosis.os, "getegid", lambda: -1)
-    found = refused(PORT, errno.EACCES, machine.root)
-    assert found.text.startswith("permission denied: it is of group ")
-    assert "usermod -aG" in found.remedy
-    assert "container" in refused(PORT, errno.EPERM, machine.root).text
-    assert refused(PORT, errno.EFBIG, machine.root).text == "file too large"
-    assert refused(PORT, errno.ENXIO, machine.root).transient
-
-
-@pytest.mark.parametrize("device", ["/dev/tty", "/dev/ptmx"])
-def test_a_terminal_is_no_port(device: str) -> None:
-    found = before_opening(device)
-    assert found is not None
-    assert found.text == "this is a terminal of this computer's own, not a serial port"

@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from handfast.deploy.drive.display.fleet_table import COLUMNS, table
-from handfast.deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line
+from handfast.deploy.drive.vehicle_checks import OK, Line
 from handfast.deploy.drive.watch import RobotPicture
 
 HEADINGS = [column.heading for column in COLUMNS]
-FIRST = ["robot", "state", "off m", "nearest m", "m/s", "battery", "why"]
 
 
 def about(robot: int, *, battery: str = "12.3 V, 88 %", level: str = OK) -> RobotPicture:
@@ -45,15 +44,6 @@ def headings(line: str) -> list[str]:
     return sorted((heading for heading in HEADINGS if heading in line), key=line.index)
 
 
-def test_a_narrow_terminal_has_room_for_what_a_person_asks_first_and_a_wide_one_for_all() -> None:
-    robots = {robot: about(robot) for robot in (1, 2, 45)}
-    assert headings(drawn(robots, 60)[0]) == FIRST
-    assert headings(drawn(robots, 140)[0]) == HEADINGS
-    assert headings(drawn(robots, 80)[0]) == FIRST, "why needs the room"
-    without = {robot: about(robot, battery="") for robot in (1, 2, 45)}
-    assert headings(drawn(without, 80)[0]) == [*FIRST[:5], "why", "worst edge m"]
-
-
 @given(
     st.integers(28, 200),
     st.dictionaries(st.integers(1, 100), st.floats(0.0, 5000.0), min_size=1, max_size=30),
@@ -76,23 +66,6 @@ def test_no_line_is_too_long_and_no_number_is_cut_at_any_width(width: int, far: 
             assert f" {texts[heading]} " in f" {line} ", heading
 
 
-def test_what_matters_least_goes_first() -> None:
-    robots = {robot: about(robot) for robot in range(1, 8)}
-    gone = []
-    for width in range(140, 31, -1):
-        wider, narrower = (set(headings(drawn(robots, each)[0])) for each in (width + 1, width))
-        assert narrower <= wider
-        gone += wider - narrower
-    assert gone == ["missed", "tick us", "oldest ms", "worst edge m", "battery", "m/s", "nearest m"]
-
-
-def test_distances_stand_below_each_other() -> None:
-    robots = {1: about(1), 2: about(2)}
-    robots[1].nearest, robots[2].nearest = (0.84, 7), (10.25, 100)
-    one, two = drawn(robots, 60)[1:]
-    assert one.index("0.84") + 4 == two.index("10.25") + 5
-
-
 @pytest.mark.parametrize(
     ("said", "shows"),
     [("12.3 V, 88 %", "88 %"), ("11.9 V", "11.9 V"), ("7 %", "7 %"), ("not measured", "-"), ("", "-")],
@@ -100,22 +73,6 @@ def test_distances_stand_below_each_other() -> None:
 def test_a_battery_is_shown_by_its_share_else_by_its_voltage(said: str, shows: str) -> None:
     robots = {1: about(1, battery=said), 2: about(2, battery="50 %")}
     assert f" {shows} " in drawn(robots, 60)[1].replace(robots[1].reason, "")
-
-
-@pytest.mark.parametrize("said", ["", "not measured"])
-def test_where_no_battery_is_measured_there_is_no_column_of_it(said: str) -> None:
-    assert "battery" not in drawn({1: about(1, battery=said)}, 140)[0]
-
-
-@pytest.mark.parametrize(("level", "colour"), [(OK, None), (WARNING, "33"), (BLOCKING, "31")])
-def test_a_low_battery_is_coloured(level: str, colour: str | None) -> None:
-    stream = io.StringIO()
-    console = Console(file=stream, width=80, force_terminal=True, color_system="standard")
-    for each in table({2: about(2, level=level)}, 80, 24):
-        console.print(each)
-    row = stream.getvalue().splitlines()[1]
-    before = row.partition("88 %")[0].rpartition("\x1b[")[2].rstrip()
-    assert (f"{colour}m" in before) if colour else before.startswith("0m")
 
 
 def test_of_too_many_robots_those_in_trouble_are_shown_and_the_others_counted() -> None:

@@ -12,8 +12,7 @@ from handfast.agent.fleet.loading import digest, parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
-from handfast.deploy.analysis.silent_bodies import SilentBody
+from handfast.agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.drive.display.live_view import Lines, make_view
 from handfast.deploy.drive.display.picture_wording import faults_line, summary
@@ -44,16 +43,6 @@ def live(time_s: float, rules: str, lease_ns: int = 0) -> Faults:
     return Faults(7, now_ns, "ana@lab:3211", now_ns, lease_ns, rules)
 
 
-LINE = """
-[fleet]
-name = "line"
-[formation]
-offsets = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
-edges = [[1, 2], [2, 3]]
-safe_distance_m = 0.22
-[trajectory]
-kind = "hold"
-""" + "".join(f"[[robot]]\nid = {k + 1}\nx_m = {k}.0\ny_m = 0.0\n" for k in range(3))
 LOSS = '[[faults.rule]]\nlink = "1->2"\nloss = "30%"\n'
 
 
@@ -69,10 +58,6 @@ def test_faults_that_hold_are_named_with_their_end() -> None:
     assert watched.picture(10.0).faults == ["rule 3"]
 
 
-def test_defaults_of_every_link_always_hold() -> None:
-    assert watch('[faults]\nloss = "10%"\n').picture(1.0).faults == ["loss 10% on every link"]
-
-
 def test_live_faults_are_named_with_their_author() -> None:
     watched = watch()
     watched.feed(key_expressions.faults_held("pair", 2, "agent"), live(3.0, LOSS, 2 * NS_PER_S))
@@ -82,83 +67,8 @@ def test_live_faults_are_named_with_their_author() -> None:
     assert watched.picture(5.0).faults == [], "its lease has run out"
 
 
-def test_live_faults_are_gone_when_the_receivers_say_so() -> None:
-    watched = watch()
-    for robot in (1, 2):
-        watched.feed(key_expressions.faults_held("pair", robot, "agent"), live(3.0, LOSS))
-    watched.feed(key_expressions.faults_held("pair", 1, "agent"), live(4.0, ""))
-    assert len(watched.picture(5.0).faults) == 1
-    watched.feed(key_expressions.faults_held("pair", 2, "agent"), live(4.0, ""))
-    assert watched.picture(5.0).faults == []
-
-
-def test_what_an_operator_only_asks_for_is_not_shown() -> None:
-    watched = watch()
-    watched.feed(key_expressions.faults("pair"), live(3.0, LOSS))
-    assert watched.picture(4.0).faults == []
-
-
-def test_many_faults_are_counted() -> None:
-    rules = "".join(f'[[faults.rule]]\nname = "r{k}"\nlink = "1->2"\nloss = "1%"\n' for k in range(6))
-    assert faults_line(watch(rules).picture(1.0)) == "faults: r0; r1; r2; r3; and 2 more"
-
-
-@pytest.mark.parametrize(
-    ("offset_us", "error_us", "says"),
-    [
-        (60_001, 10_000, True),
-        (60_000, 10_000, False),  # may be within the limit of 50 ms
-        (120_000, -1, False),  # nothing is known yet
-    ],
-)
-def test_a_clock_that_is_off_is_marked(offset_us: int, error_us: int, says: bool) -> None:
-    watched = watch()
-    watched.feed(key_expressions.status("pair", 1), status(1, offset_us, error_us))
-    watched.feed(key_expressions.status("pair", 2), status(2, -offset_us, error_us))
-    picture = watched.picture(1.0)
-    assert (picture.robots[1].clock is not None) == says
-    text = f", clock of robot 2 {offset_us // 1000} ms ahead of robot 1's"
-    assert (text in summary(picture)) == says
-    assert ("behind" in summary(picture)) is False
-
-
 def at(robot: int, x: float, y: float) -> HandState:
     return HandState.placed(robot, 1, EPOCH_NS, True, 0, (x, y, 0.0, 0.0))
-
-
-def test_robots_without_an_edge_are_the_closest_too() -> None:
-    line = parse_fleet(LINE, source="line")
-    watched = Watch(line, resolve(line))
-    for robot, x in ((1, 0.0), (2, 1.0), (3, 0.2)):
-        watched.feed(key_expressions.hand("line", robot), at(robot, x, 0.0))
-    picture = watched.picture(None)
-    assert picture.nearest == (pytest.approx(0.2), 1, 3)
-    assert "closest 0.200 m (1-3)" in summary(picture)
-
-
-def test_plain_lines_end_with_the_faults() -> None:
-    stream = io.StringIO()
-    Lines(stream, quiet=False, period_s=2.0).show(watch('[faults]\nloss = "10%"\n').picture(1.0))
-    assert stream.getvalue().rstrip().endswith(", faults: loss 10% on every link")
-
-
-def test_a_line_of_a_hundred_robots_is_short() -> None:
-    def about(robot: int) -> RobotPicture:
-        state = ("running", "holding", "waiting", "released")[robot * robot % 7 % 4]
-        return RobotPicture(state, "its operator has it", 0.1, 400.0, 900, 3, off_m=1.0)
-
-    picture = Picture(4.2, 60.0, (0.698, 18, 27), (0.329, 1, 10), {k: about(k) for k in range(1, 101)})
-    picture.lagging = range(1, 101)
-    picture.silent = [SilentBody(k, 4.0 + k, k, 1.0, k, 1.0, 0.0, (1, 2), False) for k in range(1, 100, 3)]
-    stream = io.StringIO()
-    Lines(stream, quiet=False, period_s=2.0).show(picture)
-    (line,) = stream.getvalue().splitlines()
-    assert len(line) < 400, line
-    assert ", not heard: 33 robots (1, 4, 7, 10, 13, 16, 19, 22 and 25 more) for up to 101 s" in line
-    picture.silent, picture.lagging = (), ()
-    picture.robots = {k: about(1 if 30 < k < 90 else 3) for k in range(1, 101)}
-    assert summary(picture).endswith("waiting: 41 (1-30, 90-100), holding: 59 (31-89)"), summary(picture)
-    assert len(summary(picture)) < 200
 
 
 def told(watched: Watch, robot: int, state: str, reason: str, after_ns: int) -> None:
@@ -175,45 +85,6 @@ def test_a_released_robot_is_shown_with_its_reason() -> None:
     told(watched, 1, "released", "disarmed", 2)
     text = summary(watched.picture(1.0))
     assert text.endswith("released: 1 (disarmed), 2 (mode MANUAL, not GUIDED)")
-
-
-def test_a_release_and_its_end_are_news_once() -> None:
-    watched = watch()
-    told(watched, 2, "running", "", 1)
-    assert watched.news(1.0) == []
-    told(watched, 2, "released", "mode MANUAL, not GUIDED", 2)
-    assert watched.news(12.34) == ["12.3 s: robot 2 is released: mode MANUAL, not GUIDED"]
-    told(watched, 2, "released", "mode HOLD, not GUIDED", 3)
-    assert watched.news(12.5) == []
-    told(watched, 2, "running", "", 4)
-    assert watched.news(20.0) == ["20.0 s: robot 2 is back: running"]
-    assert watched.news(20.0) == []
-
-
-def test_a_released_robot_whose_plant_is_lost_is_not_back_before_it_drives() -> None:
-    watched = watch()
-    told(watched, 2, "released", "mode MANUAL, not GUIDED", 1)
-    watched.news(1.0)
-    told(watched, 2, "fault", "plant silent for 0.60 s", 2)
-    assert watched.news(2.0) == ["2.0 s: robot 2 is in fault: plant silent for 0.60 s"]
-    told(watched, 2, "waiting", "for its plant", 3)
-    assert watched.news(2.5) == []
-    told(watched, 2, "running", "", 4)
-    assert watched.news(3.0) == ["3.0 s: robot 2 is back: running"]
-
-
-def test_a_released_robot_is_not_back_when_the_drive_is_over() -> None:
-    watched = watch()
-    told(watched, 2, "released", "disarmed", 1)
-    watched.news(1.0)
-    over_s = 60.0  # the mission's: a drive may be longer or shorter than its fleet file says
-    assert fleet().fleet.duration_s != over_s
-    assert watched.picture(1.0).duration_s == over_s
-    for after_ns, state in enumerate(("stopping", "stopped"), 2):
-        told(watched, 2, state, "the mission is over", after_ns)
-        assert watched.news(over_s) == []
-    told(watched, 2, "running", "", 4)  # of the next mission: no news
-    assert watched.news(over_s + 1.0) == []
 
 
 def test_a_robot_that_stands_before_the_missions_end_is_news_whatever_the_file_says() -> None:
@@ -260,16 +131,6 @@ def test_a_body_that_was_removed_is_near_nobody_until_its_robot_is_heard() -> No
     watched.feed(key_expressions.hand("pair", 2), hand(2, 0.2, 0.0)._replace(time_ns=since_ns + 1))
     assert watched.picture(5.0).nearest is not None
     assert watched.picture(5.0).robots[2].state == "running"
-
-
-def test_orders_of_anybody_are_news_once() -> None:
-    watched = watch()
-    stop = Stop(7, EPOCH_NS, "a person")
-    for _ in range(2):
-        watched.feed(key_expressions.stop("pair"), stop)
-    assert watched.news(2.0) == ["2.0 s: every robot is told to stop: a person"]
-    watched.feed(key_expressions.stop("pair"), stop._replace(version=6))
-    assert watched.news(3.0) == []
 
 
 def hand(robot: int, x: float, y: float) -> HandState:
@@ -371,40 +232,6 @@ def test_nothing_is_shown_of_a_fleet_of_which_nobody_is_heard() -> None:
     assert picture.oldest_ms is not None
 
 
-def test_of_many_robots_each_may_be_heard_more_seldom() -> None:
-    watched = watch(
-        "".join(f"[[robot]]\nid = {k}\nx_m = {k}\ny_m = 0\nreserve = true\n" for k in range(3, 401))
-    )
-    told(watched, 2, "running", "", 1)
-    assert [watched.picture(at_s).robots[2].state for at_s in (1.0, 6.3, 6.4)] == [
-        "running",
-        "running",
-        "silent",
-    ]
-
-
-def test_how_far_robots_are_from_their_places_is_in_the_table() -> None:
-    watched = watch()
-    watched.feed(key_expressions.hand("pair", 1), at(1, -0.5, 0.3))
-    assert watched.picture(1.0).robots[1].off_m == pytest.approx(0.3)
-    assert watched.picture(1.0).robots[2].off_m is None
-
-
-def test_robots_that_lag_are_named_with_what_they_say_of_it() -> None:
-    watched = watch()
-    for second in range(1, 6):
-        told(watched, 1, "degraded", "held up by robot 2", second * NS_PER_S)
-        told(watched, 2, "running", "", second * NS_PER_S)
-        for robot, x in ((1, -0.5), (2, 0.5)):
-            hand = at(robot, x, 0.3 * robot)._replace(time_ns=EPOCH_NS + second * NS_PER_S)
-            watched.feed(key_expressions.hand("pair", robot), hand)
-        picture = watched.picture(float(second))
-    assert picture.lagging == [2, 1]
-    assert "off place: 2 by 0.60 m, 1 by 0.30 m (held up by robot 2)" in summary(picture)
-    picture.silent = [SilentBody(2, 75.0, 0.0, 0.0, 0.0, 0.0, 0.0, (1,), True)]
-    assert "1 by 0.30 m (held up by robot 2, silent for 75 s)" in summary(picture)
-
-
 class Tty(io.StringIO):
     """A terminal, as far as what is written to it goes."""
 
@@ -457,12 +284,3 @@ def test_the_last_table_stays_once_and_whole(
     # No drawing is higher than the terminal: what has left it at the top cannot be erased.
     drawings = text.split("driving")[1:]
     assert all(drawing.partition("\r")[0].count("\n") < height for drawing in drawings)
-
-
-def test_a_drive_of_which_nothing_was_shown_leaves_no_empty_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "xterm")
-    stream = Tty()
-    with make_view(stream) as view:
-        view.say("Not started: a reason.")
-    stream.write("FAILED\n")
-    assert screen_lines(stream.getvalue(), 80) == ["Not started: a reason.", "FAILED", ""]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 from math import dist, hypot, pi
 from typing import Any
@@ -11,11 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handfast.agent.formation.mission_plan import plan_of
 from handfast.agent.messages.types import HandState, Mission, PlantState
-from handfast.deploy.analysis.stability import SETTLED
-from handfast.deploy.recording.foxglove import moment as module
-from handfast.deploy.recording.foxglove.moment import HOLDS, SILENT_NS, Latest, _distances
+from handfast.deploy.recording.foxglove.moment import Latest, _distances
 from tests.unit.deploy.synthetic_run import EPOCH_NS, make_fleet, triangle
 
 FLEET = make_fleet(*triangle(2))
@@ -32,10 +28,6 @@ def hand(robot: int, x: float, y: float, vx: float, vy: float, time_ns: int = EP
     return HandState.placed(robot, 0, time_ns, True, 2, (x, y, vx, vy))
 
 
-def test_an_edge_holds_by_the_same_measure_as_on_the_page() -> None:
-    assert HOLDS == SETTLED
-
-
 def test_a_plants_pose_counts_before_an_agents_and_the_truth_before_both() -> None:
     latest = Latest(FLEET)
     latest.take_hand(EPOCH_NS, hand(1, 7.0, 0.0, 0.0, 0.0))
@@ -44,20 +36,6 @@ def test_a_plants_pose_counts_before_an_agents_and_the_truth_before_both() -> No
     assert latest.at(EPOCH_NS).hands[1] == pytest.approx((5.0, 0.1))
     latest.take_truth(EPOCH_NS, plant(1, 4.0))
     assert latest.at(EPOCH_NS).hands[1] == pytest.approx((4.1, 0.0))
-
-
-def test_who_speaks_on_counts_when_the_other_is_silent() -> None:
-    latest = Latest(FLEET)
-    latest.take_truth(EPOCH_NS, plant(1, 4.0))
-    latest.take_plant(EPOCH_NS + 2 * S, plant(1, 5.0))
-    assert latest.at(EPOCH_NS + 2 * S).bodies[0].x == 5.0
-    latest.take_hand(EPOCH_NS + 4 * S, hand(1, 7.0, 0.0, 0.0, 0.5))
-    (body,) = latest.at(EPOCH_NS + 4 * S).bodies
-    assert body.hand == (7.0, 0.0)
-    assert (body.heading, body.speed) == (pytest.approx(pi / 2), 0.5)
-    assert (body.x, body.y) == (pytest.approx(7.0), pytest.approx(-0.1))
-    latest.take_hand(EPOCH_NS + 5 * S, hand(1, 7.0, 0.0, 0.0, 0.0))
-    assert latest.at(EPOCH_NS + 5 * S).bodies[0].heading == pytest.approx(pi / 2), "it stands as it drove"
 
 
 def test_hand_points_are_carried_on_to_one_time() -> None:
@@ -94,38 +72,6 @@ def test_a_body_that_was_carried_off_is_near_to_nobody_until_it_is_heard() -> No
     assert latest.at(EPOCH_NS + 1).close
 
 
-def test_two_that_are_both_silent_are_not_near_to_each_other() -> None:
-    latest = Latest(FLEET)
-    for robot in (1, 2):
-        latest.take_plant(EPOCH_NS, plant(robot, 0.1 * robot))
-    latest.take_plant(EPOCH_NS + 2 * SILENT_NS, plant(3, 5.0))
-    moment = latest.at(EPOCH_NS + 2 * SILENT_NS)
-    assert (moment.close, moment.least) == ({}, (pytest.approx(4.8), 2, 3))
-    latest.take_plant(EPOCH_NS + 2 * SILENT_NS, plant(1, 0.1))
-    assert latest.at(EPOCH_NS + 2 * SILENT_NS).close == {(1, 2): pytest.approx(0.1)}
-
-
-def test_a_mission_is_new_once() -> None:
-    latest = Latest(FLEET)
-    mission = Mission(3, EPOCH_NS, EPOCH_NS, 10 * S, "")
-    assert latest.take_mission(mission)
-    assert not latest.take_mission(mission._replace(time_ns=EPOCH_NS + 5))
-    assert not latest.take_mission(mission._replace(version=2))
-    unknown = mission._replace(version=4, robots=((99, 0.0, 0.0),))
-    assert not latest.take_mission(unknown)
-    assert latest.take_mission(mission._replace(version=5))
-
-
-def test_a_mission_that_cannot_be_driven_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Robots relay what they drive for hours, and to plan a large fleet's takes long."""
-    planned = []
-    monkeypatch.setattr(module, "plan_of", lambda *given: planned.append(given) or plan_of(*given))
-    latest = Latest(FLEET)
-    for k in range(5):
-        latest.take_mission(Mission(4, k, EPOCH_NS, 10 * S, "", robots=((99, 0.0, 0.0),)))
-    assert len(planned) == 1
-
-
 places = st.tuples(st.floats(-3, 3), st.floats(-3, 3))
 
 
@@ -149,8 +95,3 @@ def test_distances_are_those_of_all_pairs(given_: list[tuple[tuple[float, float]
     if least is not None:
         assert least[0] == pytest.approx(min(pairs.values()))
         assert dist(hands[least[1]], hands[least[2]]) == pytest.approx(least[0])
-
-
-def test_the_safe_distance_is_the_fleet_files() -> None:
-    wide = replace(FLEET, formation=replace(FLEET.formation, safe_distance_m=0.5))
-    assert (Latest(FLEET).safe_m, Latest(wide).safe_m) == (SAFE_M, 0.5)

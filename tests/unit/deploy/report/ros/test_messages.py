@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 from math import atan2, cos, hypot, pi, sin
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 
 from handfast.agent.messages.types import Event, Message, Status, Stop
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.report.ros import messages as ros_messages
 from handfast.deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Ints, Stream, streams
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import recorded
@@ -124,12 +122,6 @@ def test_poses_are_those_of_the_bodies() -> None:
         assert np.sin(turned) == pytest.approx(np.sin(data.body["heading"]))
 
 
-def test_a_turn_does_not_make_the_quaternion_jump() -> None:
-    found = topics(recording([turning, standing(2, 0), standing(0, 2)]))
-    turned = [(each.pose.orientation.z, each.pose.orientation.w) for each in found["/robot_1/pose"][1]]
-    assert np.abs(np.diff(turned, axis=0)).max() < 0.011  # half of 1 rad/s at 50 Hz
-
-
 def test_frames_lead_from_the_map_to_the_hand() -> None:
     source, found = formation()
     (fixed,) = found["/tf_static"][1]
@@ -181,21 +173,6 @@ def test_what_the_plant_itself_takes_for_wrong_is_left_out() -> None:
     assert len(found["/robot_1/pose"][1]) == len(found["/robot_1/odom"][1]) == (whole + 1) // 2
 
 
-def test_the_path_is_told_once_and_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, found = formation()
-    times, (path,), _ = found["/robot_1/path"]
-    _, poses, _ = found["/robot_1/pose"]
-    assert times[0] == ns(poses[-1].header.stamp)
-    assert [ns(each.header.stamp) for each in path.poses] == [ns(each.header.stamp) for each in poses]
-    assert [place(each.pose) for each in path.poses] == [place(each.pose) for each in poses]
-    monkeypatch.setattr(ros_messages, "PATH_POSES_MAX", 5)
-    _, (thinned,), _ = topics(recording())["/robot_1/path"]
-    assert [ns(each.header.stamp) for each in thinned.poses][::4] == [
-        ns(each.header.stamp) for each in (poses[0], poses[-1])
-    ]
-    assert len(thinned.poses) == 5
-
-
 def test_places_are_wanted_of_the_hand() -> None:
     source = recording(in_formation(FLEET, mess_m=0.4))
     found = topics(source)
@@ -236,11 +213,6 @@ def test_diagnostics() -> None:
     values = {each.key: each.value for each in first.values}
     assert values == {"state": "ready", "age_max_ms": "3", "tick_max_us": "100", "overruns": "1"}
     assert len(arrays) == sum(len(data.status) for data in source.robots.values())
-
-
-def test_a_robot_that_is_stopped_is_no_warning() -> None:
-    _, arrays, _ = topics(states(("stopped", "the mission is over")))["/diagnostics"]
-    assert arrays[0].status[0].level == 0
 
 
 def test_log() -> None:
@@ -292,37 +264,3 @@ def test_edges_are_lines_between_hands() -> None:
     assert colors == [holds, holds, unsafe, unsafe, holds, holds]
     _, arrays, _ = topics(recording([standing(0, 0), standing(2, 0), standing(0.5, 0.9)]))["/edges"]
     assert [(each.r > 0.5, each.g > 0.5) for each in arrays[0].markers[0].colors[:2]] == [off, off]
-
-
-def test_without_an_edge_there_is_nothing_to_draw() -> None:
-    source = recording()
-    alone = replace(source, robots={**source.robots, **{i: nothing_of(source, i) for i in (2, 3)}})
-    found = topics(alone)
-    assert {each.markers[0].action for each in found["/edges"][1]} == {2}  # DELETE
-    assert not {"/edge_1_2/error", "/formation_error", "/min_distance", "/robot_2/pose"} & set(found)
-
-
-def nothing_of(source: Recording, robot: int) -> Any:
-    data = source.robots[robot]
-    return replace(data, plant=data.plant.only(np.zeros(len(data.plant), dtype=np.bool_)))
-
-
-def test_errors_and_the_least_distance(monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = [standing(0, 0), standing(0.9, 0), standing(0.0, 3.0)]
-    found = topics(recording(paths))
-    expected = {
-        "/edge_1_2/error": -0.1,
-        "/edge_1_3/error": 2.0,
-        "/formation_error": hypot(0.9, 3.0) - 1.0,
-        "/min_distance": 0.9,
-    }
-    for topic, value in expected.items():
-        assert [each.data for each in found[topic][1]] == pytest.approx([value] * 51), topic
-    monkeypatch.setattr(ros_messages, "EDGE_TOPICS_MAX", 2)
-    assert {topic for topic in topics(recording(paths)) if "error" in topic} == {"/formation_error"}
-
-
-def test_blocks_follow_one_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = {stream.topic: list(stream.messages) for stream in streams(RunResult(formation()[0]))}
-    monkeypatch.setattr(ros_messages, "_BLOCK_ROWS", 7)
-    assert {stream.topic: list(stream.messages) for stream in streams(RunResult(formation()[0]))} == whole

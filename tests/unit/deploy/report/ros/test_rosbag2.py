@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import signal
 import sys
 from collections import Counter
 from pathlib import Path
@@ -141,21 +139,6 @@ def test_a_simulated_run(tmp_path: Path) -> None:
     assert {"/robot_1/pose", "/robot_3/wanted", "/edge_1_2/error"} <= set(at_epoch)
 
 
-def test_a_second_export_replaces_the_first(run: Path) -> None:
-    export(run, "csv")
-    (bag,) = export(run, "rosbag2")
-    first = content(run / "export")
-    with Recorder(run / "run.mcap", FLEET) as recorder:  # half as long
-        for received_ns, key, message in list(messages(FLEET, in_formation(FLEET)))[:300]:
-            recorder.record(received_ns, key, encode(message))
-    assert export(run, "rosbag2") == [bag]
-    second = content(run / "export")
-    assert set(second) == set(first)
-    assert second["rosbag2/rosbag2.mcap"] != first["rosbag2/rosbag2.mcap"]
-    assert second["hands.csv"] == first["hands.csv"]
-    assert len(read(bag)) > 0
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError("No space left on device")])
 @pytest.mark.parametrize("begun", [0, 50])
 def test_an_export_that_fails_leaves_the_earlier_one(
@@ -181,48 +164,6 @@ def test_an_export_that_fails_leaves_the_earlier_one(
     with pytest.raises(expected):
         export(run, "rosbag2", run / "other")
     assert not list((run / "other").iterdir())
-
-
-def test_a_bag_that_cannot_take_its_place_leaves_the_earlier_one(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (bag,) = export(run, "rosbag2")
-    before = content(run / "export")
-    rename = Path.rename
-
-    def failing(path: Path, target: Path) -> Path:
-        if path != bag and target == bag and path.name == bag.name:
-            raise OSError(5, "Input/output error")
-        return rename(path, target)
-
-    monkeypatch.setattr(Path, "rename", failing)
-    with pytest.raises(RecordingError, match=r"^cannot write the export to .*/export: Input/output error$"):
-        export(run, "rosbag2")
-    assert content(run / "export") == before
-
-
-def test_an_export_that_is_interrupted_as_it_tidies_up_leaves_nothing_aside(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (bag,) = export(run, "rosbag2")
-    remove = shutil.rmtree
-
-    def interrupted(path: str, *given: Any, **named: Any) -> None:
-        signal.raise_signal(signal.SIGTERM)
-        remove(path, *given, **named)
-
-    def raises(number: int, _frame: object) -> None:
-        raise KeyboardInterrupt(number)
-
-    monkeypatch.setattr("tempfile._shutil.rmtree", interrupted)
-    before = signal.signal(signal.SIGTERM, raises)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            export(run, "rosbag2")
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert [*bag.parent.iterdir()] == [bag]
-    assert len(read(bag)) > 0
 
 
 def test_what_is_not_a_bag_of_ours_is_not_replaced(run: Path, tmp_path: Path) -> None:
@@ -254,18 +195,9 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
     return line
 
 
-def test_a_run_that_was_never_begun(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sent = [each for each in messages(FLEET, in_formation(FLEET)) if not isinstance(each[2], Mission)]
-    assert "it was never begun" in refused(leave(tmp_path, sent), capsys)
-
-
 def test_a_run_without_a_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sent = [each for each in messages(FLEET, in_formation(FLEET)) if not isinstance(each[2], PlantState)]
     assert "it has no pose of any robot" in refused(leave(tmp_path, sent), capsys)
-
-
-def test_a_run_without_a_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "holds no message: there is nothing to report" in refused(leave(tmp_path, []), capsys)
 
 
 def test_times_that_ros_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
