@@ -136,7 +136,7 @@ class RightOfWay:
         return _Parting(HandState.placed(self._robot, 0, now_ns, True, 0, place), self._mark)
 
     def look(self, now_ns: int, here: Hand, *, rests: bool = False, passing: bool = False) -> None:
-        """Finds out what is to be heeded from the tick `now_ns` on, at which the own hand is `here`.
+        """Find out which lanes to heed from the tick `now_ns` on, at which the own hand is `here`.
 
         Args:
             rests: it does not drive for a while, and need not know yet.
@@ -147,34 +147,40 @@ class RightOfWay:
         overdue = self._peers.overdue(now_ns)
         lost = [peer for peer in overdue if peer.late_ns(now_ns) > self._horizon_ns and not peer.is_gone]
         blind = [peer for peer in overdue if peer.deaf and self._is_blind(peer, now_ns)]
-        if lost or blind or self._then:
-            then = self._then
-            self._then = {
-                peer.robot: then.get(peer.robot) or _Parting(self._at(_heard_ns(peer)).here) for peer in lost
-            }
-            for peer in blind:
-                parted = then.get(peer.robot) or self._at(peer.knows_ns)
-                self._then[peer.robot] = parted if parted.message else parted._replace(message=peer.message)
+        self._remember_partings(lost, blind)
         has_way = self._has_way(now_ns, lost, blind)
-        if rests:
-            self.hold, self.keep_out, self.keep_in = "", (), ()
-            self._stands.clear()
-            return
-        movers = self._movers(lost, now_ns) if lost else []
-        movers += [peer for peer in blind if peer.message is not None and peer.message.following]
         self.hold, self.keep_out, self.keep_in = "", (), ()
-        if not lost:
+        if rests or not lost:
             self._stands.clear()
-        if not movers:
-            self._ways.clear()
+        if rests:
             return
-        strangers = [] if self._peers.was_there else [peer.robot for peer in movers if peer.deaf]
+        movers = self._movers(lost, blind, now_ns)
+        strangers = [] if self._peers.was_there else [peer.name for peer in movers if peer.deaf]
         if strangers:  # they know it by what it said before it started, which it does not know itself
+            self.hold = f"not heard since it started by {', '.join(strangers)}"
+        if strangers or not movers:
             self._ways.clear()
-            self.hold = f"not heard since it started by {', '.join(f'robot {robot}' for robot in strangers)}"
             return
         if not self._make_lanes(movers):
             self.hold = f"works out the ways of {len(movers)} silent robots"
+        self._heed(now_ns, here, movers, blind, has_way=has_way, passing=passing)
+
+    def _remember_partings(self, lost: list[Peer], blind: list[Peer]) -> None:
+        """Keep where this robot was when it and each of these lost each other."""
+        then = self._then
+        if not lost and not blind and not then:
+            return
+        self._then = {
+            peer.robot: then.get(peer.robot) or _Parting(self._at(_heard_ns(peer)).here) for peer in lost
+        }
+        for peer in blind:
+            parted = then.get(peer.robot) or self._at(peer.knows_ns)
+            self._then[peer.robot] = parted if parted.message else parted._replace(message=peer.message)
+
+    def _heed(
+        self, now_ns: int, here: Hand, movers: list[Peer], blind: list[Peer], *, has_way: bool, passing: bool
+    ) -> None:
+        """Set which lanes to keep out of and in, and `hold` if the robot is on a lane already."""
         out: list[KeepOut] = []
         tubes: dict[int, Lane] = {}
         for peer in movers:
@@ -188,17 +194,20 @@ class RightOfWay:
                 continue
             if has_way and peer.direct_ns >= 0 and self._keeps_within(ways.own, near, here, passing):
                 tubes[id(ways.own)] = ways.own
-                continue
-            if _length(_nearest(near, here)) < self._inside:
-                why = "" if has_way else ", which has the right of way"
-                age_s = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
-                said = "does not hear this one" if peer in blind else f"silent for {age_s:.1f} s"
-                self.hold = self.hold or f"on the lane of {peer.name}{why} ({said})"
-            else:
+            elif _length(_nearest(near, here)) >= self._inside:
                 out.append(KeepOut(f"lane of {peer.name}", near))
+            elif not self.hold:
+                described = self._described(peer, now_ns, is_heard=peer in blind, has_way=has_way)
+                self.hold = f"on the lane of {described}"
         self.keep_out = tuple(out)
         nearby = (own.near(here.x, here.y, self._within) for own in tubes.values())
         self.keep_in = tuple(runs for runs in nearby if runs)
+
+    def _described(self, peer: Peer, now_ns: int, *, is_heard: bool, has_way: bool) -> str:
+        """Return the name of a robot with its right of way and why the two do not hear each other."""
+        why = "" if has_way else ", which has the right of way"
+        age_s = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
+        return f"{peer.name}{why} ({'does not hear this one' if is_heard else f'silent for {age_s:.1f} s'})"
 
     def planes(self, own: Hand) -> Iterable[HalfPlane]:
         """The half planes of the own hand that keep it where it may be."""
@@ -256,23 +265,29 @@ class RightOfWay:
             self._gained_ns = now_ns
         return self._gained_ns == 0 or now_ns - self._gained_ns >= self._gaining_ns
 
-    def _movers(self, lost: list[Peer], now_ns: int) -> list[Peer]:
-        """Those who may drive on: they share an edge with somebody who would not tell this robot of them,
-        as it does not hear it or is not heard by it, but by what others relay, or share none with anybody."""
-        horizon_ns = self._horizon_ns
-        known = {peer.robot: peer for peer in self._peers.known}
-        silent = {
-            robot for robot, peer in known.items() if peer.deaf or peer.direct_late_ns(now_ns) > horizon_ns
-        }
-        found, stood = [], {}
-        for peer in lost:
-            since_ns = self._stands.get(peer.robot, now_ns)
-            if self._may_drive(peer, known, silent, stands=now_ns - since_ns >= self._stood_ns):
-                found.append(peer)
-            else:
-                stood[peer.robot] = since_ns
-        self._stands = stood
-        return found
+    def _movers(self, lost: list[Peer], blind: list[Peer], now_ns: int) -> list[Peer]:
+        """Return the robots that may drive on.
+
+        A lost one may if it shares an edge with a robot that would not tell this one of it, or shares none.
+        That robot does not hear this one or is not heard by it, except by what others relay.
+        """
+        found: list[Peer] = []
+        if lost:
+            known = {peer.robot: peer for peer in self._peers.known}
+            silent = {
+                robot
+                for robot, peer in known.items()
+                if peer.deaf or peer.direct_late_ns(now_ns) > self._horizon_ns
+            }
+            stood = {}
+            for peer in lost:
+                since_ns = self._stands.get(peer.robot, now_ns)
+                if self._may_drive(peer, known, silent, stands=now_ns - since_ns >= self._stood_ns):
+                    found.append(peer)
+                else:
+                    stood[peer.robot] = since_ns
+            self._stands = stood
+        return found + [peer for peer in blind if peer.message is not None and peer.message.following]
 
     def _may_drive(
         self, peer: Peer, known: Mapping[int, Peer], silent: Container[int], *, stands: bool

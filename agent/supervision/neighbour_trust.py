@@ -19,6 +19,7 @@ from handfast.agent.control.peers.peer import Peer
 from handfast.agent.control.peers.peers import TRUST_GAINED_S
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.safety import SLOW_SHARE
+from handfast.agent.formation.reference import Edge
 from handfast.agent.supervision.overload import Overload
 from handfast.agent.supervision.state_machine import DRIVING, State
 
@@ -28,6 +29,29 @@ LINK_LOST_NS: Final = 4 * NS_PER_S
 """A link that is lost so soon after the own process has stood for long was lost by that."""
 BEGUN: Final = 0.01
 """An edge that weighs less is not missed: who has just joined is not heard yet."""
+
+
+class _Found:
+    """What one tick finds about all edges of a robot.
+
+    Attributes:
+        ages_us: ages of the neighbours' hand states that are known.
+        share: share of its speed that the robot has to keep to.
+        slow, given_up: neighbours that it slows down for or cannot rely on, with the reasons.
+        newer: why it waits for a newer mission, "" if it does not.
+        begun: edges that count.
+        silent: of these, to neighbours that are not heard or do not hear this robot. unasked: of these, to
+            neighbours that it did not hear because its own process did not run.
+        untold: to neighbours that have not said yet which robots they hear.
+    """
+
+    def __init__(self) -> None:
+        self.ages_us: list[int] = []
+        self.share = 1.0
+        self.slow: list[str] = []
+        self.given_up: list[str] = []
+        self.newer = ""
+        self.begun = self.silent = self.unasked = self.untold = 0
 
 
 class NeighbourTrust:
@@ -58,83 +82,29 @@ class NeighbourTrust:
         self.changed = True
 
     def update(self, now_ns: int, state: State, here: Hand | None) -> list[int]:
-        """Looks at all edges at a tick; returns the ages (us) of the neighbours' hand states that are known.
+        """Judge all edges at a tick; return the ages (us) of the neighbours' hand states that are known.
 
         Args:
-            state: the robot's, before this tick.
-            here: its hand, None when it is not known.
+            state: state of the robot before this tick.
+            here: hand of the robot, None when it is not known.
         """
-        controller = self._controller
-        if controller.edges is not self._edges:
-            self._edges = controller.edges
-            self._neighbours = {peer.robot for _, peer in controller.edges}
-            self.changed = True
-        stands = self._held and state not in DRIVING
-        if here is not None and controller.look_round(now_ns, here, self._neighbours, held=stands):
-            self.changed = True
-        ages_us = []
-        share = 1.0
-        slow: list[str] = []
-        given_up: list[str] = []
-        newer = ""
-        silent = unasked = untold = begun = 0
-        period_s, drives = self.period_s, state in DRIVING
+        controller, drives = self._controller, state in DRIVING
+        stands = self._held and not drives
+        self._listen(now_ns, here, held=stands)
         if drives:
             self._drove_ns = now_ns
+        found = _Found()
         for edge, peer in controller.edges:
-            age = peer.age_ns(now_ns)
-            message = peer.message
-            if age is not None:
-                ages_us.append(age // 1000)
-            late = inf if age is None else age - peer.lateness.forgiven_ns
-            if peer.hand_next_ns:
-                late = peer.promised_late_ns(now_ns)
-            heard = late <= self._horizon_ns and peer.here
-            wanted = heard and message is not None and message.following
-            if drives and wanted and peer.trust == 1.0:
-                pass  # as nearly always
-            elif drives:
-                controller.peers.update_trust(peer, wanted, period_s)
-            else:
-                controller.peers.set_trust(peer, 1.0 if wanted and state is State.READY else 0.0)
-            if edge.weight < BEGUN:
-                continue
-            is_named = False
-            begun += 1
-            if not heard or peer.deaf:
-                silent += 1
-                unasked += not heard and self._is_own_doing(peer, now_ns)
-            elif state is State.HOLDING:
-                if not peer.has_told(now_ns, self._horizon_ns):
-                    untold += 1
-                    is_named = True
-                    given_up.append(f"{peer.name} (has not said yet whom it hears)")
-                elif peer.mark > controller.mark:
-                    newer = newer or f"waits for mission {peer.mark[0]}, which {peer.name} has"
-            if not wanted and edge.weight < 1.0:
-                pass  # as ordered: it leaves, or has only just joined
-            elif not wanted or peer.deaf:
-                if not is_named:
-                    given_up.append(self._why(peer, now_ns, heard=heard))
-            elif late > self._slow_ns:
-                gone = (late - self._slow_ns) / (self._horizon_ns - self._slow_ns)
-                share = min(share, 1.0 - (1.0 - SLOWEST) * gone)
-                slow.append(self._why(peer, now_ns, heard=False))
+            self._judge(found, edge, peer, now_ns, state)
         # It slows down as it has to, and comes back to its speed as slowly as trust does.
-        self.slower = min(share, self.slower + period_s / TRUST_GAINED_S) if drives else 1.0
-        self.hold = self.degraded = ""
-        if (silent and self._all_needed) or (begun and silent + untold == begun):
-            if unasked and unasked == silent:  # it may hear them when it looks again
-                self.hold = self._overload.stall(now_ns)
-            else:
-                self.hold = f"hears {'not all' if silent < begun else 'none'} of its neighbours: "
-                self.hold += ", ".join(given_up)
-        elif newer:  # it does not begin to drive by one that those it hears have left
-            self.hold = newer
-        elif given_up:
-            self.degraded = f"without {', '.join(given_up)}"
-        elif slow:
-            self.degraded = f"slower: {', '.join(slow)}"
+        self.slower = min(found.share, self.slower + self.period_s / TRUST_GAINED_S) if drives else 1.0
+        self._conclude(found, now_ns)
+        self._add_causes(now_ns, here, drives=drives, stands=stands)
+        return found.ages_us
+
+    def _add_causes(self, now_ns: int, here: Hand | None, *, drives: bool, stands: bool) -> None:
+        """Add to `hold` and `degraded` what has other causes than the edges."""
+        controller = self._controller
         held = controller.evades or controller.taken or controller.detour.held
         if drives and held:
             self.degraded = "; ".join(filter(None, (self.degraded, held)))
@@ -146,7 +116,83 @@ class NeighbourTrust:
             self.hold = self.hold or "finds out who may be near"
         if here is not None and controller.proximity.fence is not None:
             self._look_at_fence(here)
-        return ages_us
+
+    def _listen(self, now_ns: int, here: Hand | None, *, held: bool) -> None:
+        """Set `changed` if the robot has other neighbours, or other robots nearby, than before."""
+        controller = self._controller
+        if controller.edges is not self._edges:
+            self._edges = controller.edges
+            self._neighbours = {peer.robot for _, peer in controller.edges}
+            self.changed = True
+        if here is not None and controller.look_round(now_ns, here, self._neighbours, held=held):
+            self.changed = True
+
+    def _judge(self, found: _Found, edge: Edge, peer: Peer, now_ns: int, state: State) -> None:
+        """Update the trust in a neighbour, and add what is to be said of the edge to `found`."""
+        late = self._late_ns(found, peer, now_ns)
+        heard = late <= self._horizon_ns and peer.here
+        message = peer.message
+        wanted = heard and message is not None and message.following
+        self._update_trust(peer, state, wanted=wanted)
+        if edge.weight < BEGUN:
+            return
+        found.begun += 1
+        is_named = False
+        if not heard or peer.deaf:
+            found.silent += 1
+            found.unasked += not heard and self._is_own_doing(peer, now_ns)
+        elif state is State.HOLDING:
+            is_named = self._wait_for(found, peer, now_ns)
+        if wanted and not peer.deaf:
+            if late > self._slow_ns:
+                gone = (late - self._slow_ns) / (self._horizon_ns - self._slow_ns)
+                found.share = min(found.share, 1.0 - (1.0 - SLOWEST) * gone)
+                found.slow.append(self._why(peer, now_ns, heard=False))
+        elif not is_named and (wanted or edge.weight >= 1.0):  # else it leaves, or has only just joined
+            found.given_up.append(self._why(peer, now_ns, heard=heard))
+
+    def _late_ns(self, found: _Found, peer: Peer, now_ns: int) -> float:
+        """Return how late a neighbour's next hand state is, and add the age of its last one to `found`."""
+        age = peer.age_ns(now_ns)
+        if age is not None:
+            found.ages_us.append(age // 1000)
+        if peer.hand_next_ns:
+            return peer.promised_late_ns(now_ns)
+        return inf if age is None else age - peer.lateness.forgiven_ns
+
+    def _update_trust(self, peer: Peer, state: State, *, wanted: bool) -> None:
+        if state not in DRIVING:
+            self._controller.peers.set_trust(peer, 1.0 if wanted and state is State.READY else 0.0)
+        elif not wanted or peer.trust != 1.0:  # nearly always it is trusted
+            self._controller.peers.update_trust(peer, wanted, self.period_s)
+
+    def _wait_for(self, found: _Found, peer: Peer, now_ns: int) -> bool:
+        """Look at a neighbour that is heard while the robot holds; return True if it has been named."""
+        if not peer.has_told(now_ns, self._horizon_ns):
+            found.untold += 1
+            found.given_up.append(f"{peer.name} (has not said yet whom it hears)")
+            return True
+        mark = peer.mark
+        if mark > self._controller.mark:
+            found.newer = found.newer or f"waits for mission {mark[0]}, which {peer.name} has"
+        return False
+
+    def _conclude(self, found: _Found, now_ns: int) -> None:
+        """Set `hold` and `degraded` by what was found about all edges."""
+        self.hold = self.degraded = ""
+        none = found.begun > 0 and found.silent + found.untold == found.begun
+        if none or (found.silent and self._all_needed):
+            if found.unasked and found.unasked == found.silent:  # it may hear them when it looks again
+                self.hold = self._overload.stall(now_ns)
+            else:
+                number = "not all" if found.silent < found.begun else "none"
+                self.hold = f"hears {number} of its neighbours: {', '.join(found.given_up)}"
+        elif found.newer:  # it does not begin to drive by a mission that those it hears have left
+            self.hold = found.newer
+        elif found.given_up:
+            self.degraded = f"without {', '.join(found.given_up)}"
+        elif found.slow:
+            self.degraded = f"slower: {', '.join(found.slow)}"
 
     def missing(self, now_ns: int, *, started: bool) -> str:
         """Whom the robot lacks to begin, in words: anybody before the drive, all of them once it goes on."""
