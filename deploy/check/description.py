@@ -27,7 +27,7 @@ from handfast.deploy.check.load.network import describe_links, describe_topology
 from handfast.deploy.check.load.radio import describe_radio
 from handfast.deploy.check.safety import parting
 from handfast.deploy.console.wording import robots, some
-from handfast.deploy.faults.wording import defaults, described, words
+from handfast.deploy.faults.rules import defaults, described, words
 
 FAULTS_SHOWN: Final = 12
 

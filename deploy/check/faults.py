@@ -22,8 +22,7 @@ from handfast.agent.messages.types import FUTURE_NS_MAX
 from handfast.deploy.check.finding import Finding, Level
 from handfast.deploy.check.load.radio import hand_bytes
 from handfast.deploy.console.wording import NAMES_SHOWN, robots
-from handfast.deploy.faults.windows import windows
-from handfast.deploy.faults.wording import acts_on_links, words
+from handfast.deploy.faults.rules import acts_on_links, windows, words
 from handfast.deploy.recording.links import Link, links_of
 
 CONTRADICTIONS_MAX: Final = 12

@@ -38,7 +38,7 @@ from handfast.deploy.drive.lagging import Lagging
 from handfast.deploy.drive.news import Happening, News
 from handfast.deploy.drive.vehicle_checks import Line
 from handfast.deploy.faults.live import Held, shown
-from handfast.deploy.faults.wording import defaults, held, lasts, words
+from handfast.deploy.faults.rules import defaults, held, lasts, words
 from handfast.deploy.orders.operator import Known
 from handfast.plant.backend import BATTERY
 

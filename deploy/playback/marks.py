@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.console.wording import robots
-from handfast.deploy.faults.lanes import lanes
 from handfast.deploy.faults.process_actions import WORDS
+from handfast.deploy.faults.rules import lanes
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.verdict.oracles_distance import SEPARATION
 from handfast.deploy.verdict.run_result import RunResult

@@ -19,7 +19,7 @@ from handfast.agent.supervision.state_machine import State
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.analysis.rounding import largest, number, percentile
 from handfast.deploy.console.wording import robots
-from handfast.deploy.faults.lanes import lanes
+from handfast.deploy.faults.rules import lanes
 from handfast.deploy.playback.page import embedded
 from handfast.deploy.playback.scene import scene
 from handfast.deploy.playback.track import Track

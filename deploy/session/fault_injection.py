@@ -12,7 +12,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.types import EVERY_AUTHOR, Faults
 from handfast.deploy.console.wording import some
 from handfast.deploy.faults.live import Held, Receiver
-from handfast.deploy.faults.wording import end_of, words
+from handfast.deploy.faults.rules import end_of, words
 
 ORIGIN_AHEAD_NS: Final = 3 * NS_PER_S // 10
 """The rules are everywhere this long before they begin: all receivers begin at the same stamps."""

@@ -17,13 +17,15 @@ from handfast.agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW,
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.analysis.rounding import largest, mean, number, percentile
 from handfast.deploy.console.wording import robots
-from handfast.deploy.faults.windows import LiveSet, live_sets, windows
-from handfast.deploy.faults.wording import (
+from handfast.deploy.faults.rules import (
+    LiveSet,
     acts_on_links,
     described,
     effects_text,
     gives_link_effects,
+    live_sets,
     when,
+    windows,
     words,
 )
 from handfast.deploy.recording.link_table import Ints, LinkTable

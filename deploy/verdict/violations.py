@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from handfast.agent.fleet.fault_rules import Rule
 from handfast.agent.formation.points import Floats
-from handfast.deploy.faults.windows import Span, live_sets, spans
+from handfast.deploy.faults.rules import Span, live_sets, spans
 from handfast.deploy.recording.recording import Recording
 
 REACTION_S: Final = 0.1
@@ -49,7 +49,7 @@ def lasting(bad: NDArray[np.bool_], t: Floats, least_s: float) -> float | None:
 
 
 def windows(recording: Recording) -> list[Span]:
-    """The times of rules within the drive (`deploy.faults.windows.spans`)."""
+    """The times of rules within the drive (`deploy.faults.rules.spans`)."""
     return spans(recording, recording.end_s)
 
 

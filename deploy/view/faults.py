@@ -13,8 +13,15 @@ from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import AUTHOR_MAX, EVERY_AUTHOR, Faults, Message
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.drive.fleet_state import FleetState
-from handfast.deploy.faults.live import Held, LiveSet, Receiver, receivers
-from handfast.deploy.faults.live_rules import LiveRulesError, rule_of_options, text_of
+from handfast.deploy.faults.live import (
+    Held,
+    LiveRulesError,
+    LiveSet,
+    Receiver,
+    receivers,
+    rule_of_options,
+    text_of,
+)
 from handfast.deploy.session.fault_injection import ECHO_S, LEASE_NS, Putting, names
 from handfast.deploy.view.orders import RefusedError
 

@@ -10,7 +10,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolve, resolved
 from handfast.agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults
 from handfast.deploy.analysis.analysis import analyse
-from handfast.deploy.faults.windows import live_sets, spans
+from handfast.deploy.faults.rules import live_sets, spans
 from handfast.deploy.recording.recording import LiveFaults, Recording
 from tests.simulation.link_audit import AuditResult
 from tests.simulation.link_audit import audit as audit_of

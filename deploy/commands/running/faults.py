@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast faults`` takes."""
-    from handfast.deploy.faults.live_rules import NOT_LIVE, live_entries, option
+    from handfast.deploy.faults.live import NOT_LIVE, live_entries, option
 
     describe(
         parser,
@@ -84,7 +84,7 @@ def _dest(key: str) -> str:
 
 
 def _set(options: argparse.Namespace) -> int:
-    from handfast.deploy.faults.live_rules import rule_of_options
+    from handfast.deploy.faults.live import rule_of_options
 
     fleet = running_fleet(options.fleet)
     given = {
@@ -96,7 +96,7 @@ def _set(options: argparse.Namespace) -> int:
 
 
 def _apply(options: argparse.Namespace) -> int:
-    from handfast.deploy.faults.live_rules import rules_of_scenario
+    from handfast.deploy.faults.live import rules_of_scenario
 
     fleet = running_fleet(options.fleet)
     path = scenario_path(options.file)
@@ -107,7 +107,7 @@ def _apply(options: argparse.Namespace) -> int:
 def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
     """Sends the rules, and keeps them in force until they end."""
     from handfast.deploy.console.interrupt import Interrupt
-    from handfast.deploy.faults.live_rules import text_of
+    from handfast.deploy.faults.live import text_of
     from handfast.deploy.session.fault_injection import Putting, names
 
     text = text_of(rules)
@@ -139,7 +139,7 @@ def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSessio
 
 def _show(options: argparse.Namespace) -> int:
     from handfast.agent.links.fault_plan import FaultPlan
-    from handfast.deploy.faults.wording import defaults
+    from handfast.deploy.faults.rules import defaults
     from handfast.deploy.session.fault_injection import ECHO_S, names
 
     fleet = running_fleet(options.fleet)
@@ -174,7 +174,7 @@ def _show(options: argparse.Namespace) -> int:
 
 def _line_of(rule: Rule, time_s: float | None) -> str:
     """A rule and how it stands at the time that its `at` counts in; None before that is known."""
-    from handfast.deploy.faults.wording import next_begin, window, words
+    from handfast.deploy.faults.rules import next_begin, window, words
 
     if time_s is None:
         always = rule.at is None and rule.duration is None

@@ -10,8 +10,8 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from handfast.deploy.faults.lanes import Lane, lanes
 from handfast.deploy.faults.process_actions import WORDS
+from handfast.deploy.faults.rules import Lane, lanes
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.report.drawing.plotting import GREY, INK, PALETTE, RED
 

@@ -20,9 +20,17 @@ from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Faults
 from handfast.deploy.commands.running.faults import add_arguments
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.faults.live import Held, Receiver, receivers, shown
-from handfast.deploy.faults.live_rules import LiveRulesError, rule_of_options, rules_of_scenario, text_of
-from handfast.deploy.faults.wording import end_of, lasts, next_begin, window, words
+from handfast.deploy.faults.live import (
+    Held,
+    LiveRulesError,
+    Receiver,
+    receivers,
+    rule_of_options,
+    rules_of_scenario,
+    shown,
+    text_of,
+)
+from handfast.deploy.faults.rules import end_of, lasts, next_begin, window, words
 from handfast.deploy.session.fault_injection import NothingToClearError, Putting, clear, names
 
 FLEET = load_fleet(FLEETS / "pair.toml")

@@ -1,4 +1,4 @@
-"""The plan of what rules do to processes."""
+"""Lanes of the rules of a run, and the plan of what rules do to processes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,37 @@ import pytest
 
 from handfast.agent.fleet.scenario import parse_scenario
 from handfast.deploy.faults.process_actions import Action, actions
+from handfast.deploy.faults.rules import lanes
+from handfast.deploy.recording.collector import RunData
+from handfast.deploy.recording.recording import Recording
+from tests.unit.deploy.simulated_run import driven, trio
+
+
+def recorded(faults: str) -> Recording:
+    fleet = trio(faults)
+    data = RunData(fleet)
+    for sent in driven(fleet):
+        data.feed(*sent)
+    return data.recording()
+
+
+def test_every_rule_has_a_lane_and_what_holds_everywhere_comes_first() -> None:
+    many = "".join(
+        f'[[faults.rule]]\nname = "r{k}"\nlink = "1->2"\nloss = "9%"\nat = {k / 10}\nfor = 0.05\n'
+        for k in range(12)
+    )
+    found = lanes(recorded('[faults]\ndelay = "1ms"\n' + many), 2.0)
+    assert [lane.text for lane in found] == [
+        "[faults]: delay 1ms on every link",
+        *(f"r{k}: loss 9% on 1->2" for k in range(12)),
+    ]
+    assert found[0].times == [(0.0, 2.0)]
+    assert found[1].times == [(0.0, 0.05)]
+
+
+def test_a_run_without_faults_has_no_lane() -> None:
+    assert lanes(recorded(""), 2.0) == []
+
 
 IDS = (1, 2, 3)
 
