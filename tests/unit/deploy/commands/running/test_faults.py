@@ -76,7 +76,6 @@ def test_options_make_a_rule(given: dict[str, str], says: str) -> None:
         ({"link": "1->9", "loss": "1%"}, '--link: "1->9": there is no robot 9; ids are 1, 2, 3'),
         ({"loss": "120%"}, "--loss: must be between 0% and 100%"),
         ({"delay": "-5ms"}, "--delay: "),
-        ({"loss": "1%", "jitter": "5ms"}, "--jitter: needs a delay beside it"),
         ({"robot": "1,x", "loss": "1%"}, "--robot[2]: must be a whole number"),
         ({"loss": "1%", "for": "2s", "every": "1s"}, "--for: 2.0 s is not shorter than every"),
         ({"link": "1->2"}, "does nothing: give an effect"),
@@ -104,17 +103,17 @@ def test_every_field_of_a_rule_has_an_option_with_help(capsys: pytest.CaptureFix
     with pytest.raises(SystemExit):
         parser.parse_args(["set", "--help"])
     text = capsys.readouterr().out
-    assert "--jump-probability 1%" in text
+    assert "--duplicate 1%" in text
     assert "--topic hand|state|wrench|all" in text
     assert "--kill" not in text
 
 
 def test_scenario_file_with_its_defaults_last() -> None:
-    text = '[faults]\ndelay = "50ms"\njitter = "5ms"\n[[faults.rule]]\nloss = "1%"\nat = 2\n'
+    text = '[faults]\ndelay = "50ms 5ms"\n[[faults.rule]]\nloss = "1%"\nat = 2\n'
     rules = rules_of_scenario(text, "s.toml", IDS)
     assert [(each.name, words(each)) for each in rules] == [
         ("rule 1", "loss 1% on every link"),
-        ("[faults]", "delay 50ms, jitter 5ms on every link"),
+        ("[faults]", "delay 50ms 5ms on every link"),
     ]
     assert parse_scenario(text_of(rules), IDS).rules == tuple(rules)
 
