@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import pytest
+
 from handfast.agent.fleet.plants import KINDS
 
 ROOT: Final = Path(__file__).parents[2]
@@ -29,6 +31,7 @@ def named(source: str) -> Iterator[tuple[int, str]]:
                     yield node.lineno, node.value
 
 
+@pytest.mark.slow
 def test_only_the_registry_names_a_kind_of_plant() -> None:
     files = [file for top in ("agent", "plant", "bridges", "deploy") for file in (ROOT / top).rglob("*.py")]
     found = {

@@ -22,7 +22,7 @@ from handfast.deploy.sweep.varied import parse_axis
 
 DOCS = Path(__file__).parents[2] / "docs"
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 def driven(scenario: str) -> Analysis:

@@ -56,6 +56,7 @@ def test_the_page_runs_word_for_word(
     assert "control.kq: unknown field" in capsys.readouterr().out
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -126,6 +126,7 @@ def test_motion_has_no_jump_up_to_its_acceleration_and_derivatives_agree(made: l
                 assert abs(after[axis] - before[axis]) <= 2 * jerk * step
 
 
+@pytest.mark.slow
 @given(plans(most=2 * WITHIN_MAX, shortest=4, longest=60, in_turn=True))
 @settings(max_examples=100, deadline=None)
 def test_however_many_plans_meet_each_one_goes_on_from_the_motion_before_it(made: list[Plan]):

@@ -6,6 +6,7 @@ import datetime
 import math
 from typing import Any
 
+import pytest
 import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
@@ -149,6 +150,7 @@ def fleets(draw: st.DrawFn) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 @given(fleets())
 def test_a_fleet_survives_being_written(table: dict[str, Any]) -> None:
     fleet = parse_fleet(tomli_w.dumps(table), source="drawn")
@@ -160,6 +162,7 @@ def test_a_fleet_survives_being_written(table: dict[str, Any]) -> None:
 # --- and everything else ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(fleets(), st.data())
 def test_a_fleet_with_one_value_replaced(table: dict[str, Any], data: st.DataObject) -> None:
     section = data.draw(st.sampled_from(list(table)))
@@ -170,6 +173,7 @@ def test_a_fleet_with_one_value_replaced(table: dict[str, Any], data: st.DataObj
         assert parse_fleet(tomli_w.dumps(to_dict(fleet)), source="again") == fleet
 
 
+@pytest.mark.slow
 @given(st.dictionaries(keys, values, max_size=6))
 def test_any_table(table: dict[str, Any]) -> None:
     assert answer(tomli_w.dumps(table)) is None or table

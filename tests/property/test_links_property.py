@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -102,6 +103,7 @@ def fates(to: LinkEmulator, order: list[int]) -> dict[int, list[tuple[int, int]]
     return found
 
 
+@pytest.mark.slow
 @given(rules(DRAWN), st.permutations(range(90)))
 @settings(max_examples=120, deadline=None)
 def test_every_message_has_one_fate_whatever_the_order(drawn: list[dict[str, Any]], order: list[int]) -> None:
@@ -115,6 +117,7 @@ def test_every_message_has_one_fate_whatever_the_order(drawn: list[dict[str, Any
         assert [d for w, d in copies if not w & HELD] == [d for w, d in shuffled[number] if not w & HELD]
 
 
+@pytest.mark.slow
 @given(rules(DRAWN | QUEUES))
 @settings(max_examples=120, deadline=None)
 def test_queues_lose_no_message_without_saying_so(drawn: list[dict[str, Any]]) -> None:
@@ -122,6 +125,7 @@ def test_queues_lose_no_message_without_saying_so(drawn: list[dict[str, Any]]) -
     assert set(found) == set(range(120))
 
 
+@pytest.mark.slow
 @given(rules(DRAWN | QUEUES), st.binary(max_size=30))
 @settings(max_examples=80, deadline=None)
 def test_whatever_operators_send_a_receiver_goes_on(drawn: list[dict[str, Any]], rubbish: bytes) -> None:

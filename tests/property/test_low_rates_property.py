@@ -110,6 +110,7 @@ robot = [
 """
 
 
+@pytest.mark.slow
 def test_a_fleet_at_2_hz_with_a_long_hand_crosses_calmly() -> None:
     fleet = parse_fleet(RATE3, source="rate3.toml")
     assert "error" not in {finding.level for finding in check(fleet)}

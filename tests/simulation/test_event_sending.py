@@ -57,7 +57,9 @@ def drive(made: Fleet) -> tuple[RunResult, Callable[[float, float], float]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("links", LINKS)
+@pytest.mark.parametrize(
+    "links", [pytest.param(k, marks=pytest.mark.long if number else ()) for number, k in enumerate(LINKS)]
+)
 def test_a_delta_forms_as_safely_and_as_exactly_for_a_tenth_of_the_messages(links: str):
     (periodic, _), (event, share) = (drive(fleet("delta", *LINKS[links], *more)) for more in ((), (EVENT,)))
     assert periodic.passed
@@ -68,6 +70,7 @@ def test_a_delta_forms_as_safely_and_as_exactly_for_a_tenth_of_the_messages(link
     assert 0.15 < share(0.0, 5.0) < 0.8  # it is what it says that is less, not what it does
 
 
+@pytest.mark.slow
 def test_what_is_not_sent_is_not_lost_and_every_fate_is_as_the_rules_say():
     event, _ = drive(fleet("delta", EVENT, "faults.loss=20%", "fleet.duration_s=20"))
     messages = event.metrics["messages"]

@@ -56,7 +56,10 @@ def settling_times(law: str, seeds: range) -> list[float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, STARTS, CHUNK))
+@pytest.mark.parametrize(
+    "first",
+    [pytest.param(k, marks=pytest.mark.long if k else ()) for k in range(0, STARTS, CHUNK)],
+)
 @pytest.mark.parametrize("law", ["joint", "edge"])
 def test_random_starts_stay_apart_and_settle(law: str, first: int):
     times = settling_times(law, range(first, first + CHUNK))
@@ -101,6 +104,7 @@ def test_lattice_of_45_settles_on_its_circle():
     assert trace.distances().min() > 0.22
 
 
+@pytest.mark.slow
 def test_bodies_may_differ():
     fleet = bundled("delta", "trajectory.kind=hold", "fleet.duration_s=25")
     robots = tuple(

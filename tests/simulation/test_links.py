@@ -86,6 +86,7 @@ def test_messages_that_come_in_bursts_are_not_silence(slot: str):
     assert back_after(times, distances) < 25.0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("late", "duration_s"), [("500ms", 60.0), ("1s", 120.0)])
 def test_who_has_to_make_way_for_others_goes_slowly_where_messages_are_late(late: str, duration_s: float):
@@ -97,6 +98,7 @@ def test_who_has_to_make_way_for_others_goes_slowly_where_messages_are_late(late
     assert not result.analysis.off[-1].any()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_twelve_robots_cross_a_circle_though_half_of_the_late_messages_is_lost(seed: int):
@@ -140,7 +142,7 @@ SEEDS = (165_931_708_923_132, 1, 2)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", [SEEDS[0], *(pytest.param(k, marks=pytest.mark.long) for k in SEEDS[1:])])
 @pytest.mark.parametrize(("links", "final_mm"), [(MIDDLING, 2.0), (BAD, 5.0)])
 def test_random_starts_on_bad_links(seed: int, links: tuple[str, ...], final_mm: float):
     fleet = random_fleet(delta("fleet.duration_s=30", *links), seed)
@@ -150,6 +152,7 @@ def test_random_starts_on_bad_links(seed: int, links: tuple[str, ...], final_mm:
     assert np.abs(distances[-1] - 1.0).max() < 1e-3 * final_mm
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_starts_on_bad_links_with_jitter_and_noise(seed: int):

@@ -54,6 +54,7 @@ def test_agents_and_plants_follow_the_papers_equations():
     assert error(200).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_closest_pair_of_an_edge_is_the_one_at_the_start():
     # Robots 3 and 6 start (-0.2, 0.3) and (-0.18, 0): 0.3007 m, and no edge is ever shorter.
     distances = driven(200).distances()
@@ -79,6 +80,7 @@ def test_sampled_loop_is_of_second_order_in_the_period():
     assert errors[50] / errors[100] > 3.0
 
 
+@pytest.mark.slow
 def test_headings_at_the_start_do_not_matter_to_the_hands():
     # Feedback linearisation (39): the hand is a double integrator whichever way its body looks.
     fleet = delta(200)

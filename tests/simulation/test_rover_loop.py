@@ -42,6 +42,7 @@ def test_under_delay_and_loss():
     check(driven(rovers("faults.delay=200ms", "faults.loss=30%")), 0.10)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("heading_deg", [45.0, 225.0, 135.0])
 def test_from_other_headings(heading_deg: float):

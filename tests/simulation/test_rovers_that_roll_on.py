@@ -44,8 +44,11 @@ def killed(robot: int, what: str, at: float, more: str = "", *, for_good: bool =
 @pytest.mark.parametrize(
     ("robot", "what", "at"),
     [
-        (3, "plant", 2.0), (4, "plant", 3.0), (4, "plant", 6.0), (2, "plant", 2.0),
-        (2, "both", 2.0), (4, "both", 1.5), (1, "both", 1.0), (4, "both", 1.0), (5, "both", 1.5),
+        (3, "plant", 2.0), (2, "both", 2.0),
+        *(pytest.param(*each, marks=pytest.mark.long) for each in (
+            (4, "plant", 3.0), (4, "plant", 6.0), (2, "plant", 2.0),
+            (4, "both", 1.5), (1, "both", 1.0), (4, "both", 1.0), (5, "both", 1.5),
+        )),
     ],
 )  # fmt: skip
 def test_a_bridge_that_is_killed_while_they_come_together(robot: int, what: str, at: float) -> None:
@@ -53,6 +56,7 @@ def test_a_bridge_that_is_killed_while_they_come_together(robot: int, what: str,
     assert driven(fleet).pairs.min() >= fleet.formation.safe_distance_m
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "at", "cut_at"),

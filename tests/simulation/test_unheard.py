@@ -277,7 +277,9 @@ def amnesia(number: int) -> Tables:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize(
+    "number", [pytest.param(k, marks=pytest.mark.long if k > 2 else ()) for k in NUMBERS]
+)
 @pytest.mark.parametrize("kind", [cut_off, forgotten, old_way, amnesia], ids=lambda kind: kind.__name__)
 def test_bodies_keep_apart(kind: Callable[[int], Tables], number: int) -> None:
     assert_apart(driven(scenario_text(kind(number))))

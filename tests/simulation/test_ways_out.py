@@ -97,6 +97,7 @@ def test_a_dead_body_straight_on_the_way_is_driven_round(edges: str):
     assert any("on its way round robot 1" in reason for reason in reasons(recording, 2))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("run", [6, 7])

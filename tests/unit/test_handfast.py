@@ -73,6 +73,7 @@ def test_files_of_a_user_with_the_names_of_our_packages_are_left_alone(tmp_path:
     assert python(code) == "Fleet"
 
 
+@pytest.mark.slow
 def test_none_of_ours_builds_on_it() -> None:
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):

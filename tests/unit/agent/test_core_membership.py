@@ -126,6 +126,7 @@ def test_who_shares_an_edge_is_listened_to_from_then_on(bench: FleetBench):
     assert {"few/robot/1/hand", "few/robot/2/hand"} <= set(bench.agents[4].subscriptions)
 
 
+@pytest.mark.slow
 def test_new_edges_come_in_by_and_by_and_the_command_makes_no_jump(bench: FleetBench):
     change(bench, 2, JOINED, JOINED_EDGES)
     weights = []
@@ -144,6 +145,7 @@ def test_new_edges_come_in_by_and_by_and_the_command_makes_no_jump(bench: FleetB
 # ---------------------------------------------------------------------- leaving
 
 
+@pytest.mark.slow
 def test_a_robot_that_leaves_stands_by_and_is_let_go(bench: FleetBench):
     change(bench, 2, PLACES[:2], EDGES[:1])
     asked = commands(bench, 1, 1.5)
@@ -169,6 +171,7 @@ def test_a_mission_may_be_taken_over_at_any_time(bench: FleetBench, off_ns: int)
 # ---------------------------------------------------------------------- another formation
 
 
+@pytest.mark.slow
 def test_another_formation_is_taken_over_by_all_without_a_jump(bench: FleetBench):
     wide = tuple((robot, 1.5 * x, 1.5 * y) for robot, x, y in PLACES)
     mission = change(bench, 2, wide, tuple((i, j, 1.5 * d) for i, j, d in EDGES))

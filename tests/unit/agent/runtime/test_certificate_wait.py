@@ -67,6 +67,7 @@ def test_a_good_one_keeps_nobody(clock: Clock, tmp_path: Path) -> None:
     assert clock.slept_s == 0
 
 
+@pytest.mark.slow
 def test_an_expired_one_is_waited_for_until_it_is_renewed(clock: Clock, tmp_path: Path) -> None:
     made(tmp_path, NOW_S)
     clock.wall_s = EXPIRED_S

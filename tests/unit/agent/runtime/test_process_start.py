@@ -164,6 +164,7 @@ class NobodysBus:
     def publish(self, *_: object) -> None: ...
 
 
+@pytest.mark.slow
 @pytest.mark.patches
 def test_it_ends_outright_and_waits_for_no_link(
     begin: Callable[[Callable[..., Any]], int],

@@ -57,6 +57,7 @@ def test_it_is_granted_as_it_was_asked_for() -> None:
     assert asked("--role", "agent").fifo == 41
 
 
+@pytest.mark.slow
 def test_what_is_refused_ends_nothing_and_is_said() -> None:
     """The real system refuses: no capability, and limits that do not allow it."""
     limits = ("prlimit", "--rtprio=0:0", "--memlock=65536:65536")
@@ -151,6 +152,7 @@ print('loop', policy(0))
     assert told.endswith(f"loop ({os.SCHED_OTHER}, 0)\n")
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_one_that_hears_no_signal_is_killed_by_the_kernel() -> None:
     need_realtime()
@@ -167,6 +169,7 @@ def test_one_that_hears_no_signal_is_killed_by_the_kernel() -> None:
     assert done.returncode == -9, done.stderr
 
 
+@pytest.mark.slow
 def test_nothing_of_it_is_loaded_where_nobody_asks() -> None:
     text = "import sys, agent.__main__, plant.__main__; print([m for m in sys.modules if 'realtime' in m])"
     done = subprocess.run(

@@ -331,6 +331,7 @@ def test_while_no_mission_is_near_it_is_news_only_of_those_that_it_minds() -> No
         assert (len(bench.run(1.0)) >= 2) is news, minds
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.integers(1, 12)), min_size=1, max_size=12

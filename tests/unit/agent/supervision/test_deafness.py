@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 
+import pytest
+
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.types import Beacon
 from handfast.agent.supervision.deafness import LATE_NS, PAUSE_MAX_NS, PAUSE_NS, SURE_NS, Deafness
@@ -176,6 +178,7 @@ def meet(bench: FleetBench) -> None:
             agent.present(f"few/alive/robot/{robot}/agent", True)
 
 
+@pytest.mark.slow
 def test_an_agent_to_which_nothing_of_a_neighbour_is_delivered_is_deaf_to_it():
     bench = FleetBench(three())
     meet(bench)
@@ -184,6 +187,7 @@ def test_an_agent_to_which_nothing_of_a_neighbour_is_delivered_is_deaf_to_it():
     assert deaf(bench, 6) == {(1, 3)}
 
 
+@pytest.mark.slow
 def test_one_that_loses_them_by_a_rule_is_not():
     rule = 'faults.rule=[{ link = "3->1", loss = "100%" }, { link = "2->1", delay = "3s" }]'
     bench = FleetBench(three(rule))

@@ -168,6 +168,7 @@ def ring(robots: int) -> Fleet:
     return parse_fleet(text.replace("\n                  ", " "), source="here")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [three(), ring(10)], ids=["3 and a reserve", "10"])
 def test_an_agent_that_starts_again_is_told_the_mission_by_about_one_other(made: Fleet):
     """There is no commander any more."""
@@ -214,6 +215,7 @@ def test_who_asks_is_told_all():
     assert len(bench.told(Mission)) == len(bench.told(Stop)) == len(bench.told(Resume)) == 1
 
 
+@pytest.mark.slow
 def test_what_a_robot_learns_it_says_once_on_its_own_key_and_never_on_an_operators():
     """In its next tick, so that whoever hears this robot alone has it: a stop must not wait."""
     bench = FleetBench(three())

@@ -91,6 +91,7 @@ def bench(request: pytest.FixtureRequest) -> FleetBench:
 # ---------------------------------------------------------------------- silence
 
 
+@pytest.mark.slow
 def test_a_silent_neighbour_is_predicted_then_driven_slower_for_then_given_up(bench: FleetBench):
     silence(bench, 3)
     rows = watch(bench, 4.0)
@@ -114,6 +115,7 @@ def test_a_silent_neighbour_is_predicted_then_driven_slower_for_then_given_up(be
     assert not any(row.brakes for row in rows)
 
 
+@pytest.mark.slow
 def test_a_neighbour_that_comes_back_comes_back_without_a_bump(bench: FleetBench):
     silence(bench, 3)
     rows = watch(bench, 4.0)
@@ -132,6 +134,7 @@ def test_a_neighbour_that_comes_back_comes_back_without_a_bump(bench: FleetBench
     assert max(faster) <= PERIOD_S / TRUST_GAINED_S + 1e-9  # nor does its speed come back at once
 
 
+@pytest.mark.slow
 def test_whom_it_may_not_have_heard_for_it_stood_itself_it_does_not_blame(bench: FleetBench):
     silence(bench, 2, 3)
     watch(bench, HORIZON_S - 0.1)
@@ -148,6 +151,7 @@ def test_whom_it_may_not_have_heard_for_it_stood_itself_it_does_not_blame(bench:
     assert watch(bench, 0.1)[-1].state is State.RUNNING
 
 
+@pytest.mark.slow
 def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
     silence(bench, 2, 3)
     rows = watch(bench, HORIZON_S + 0.2)
@@ -162,6 +166,7 @@ def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
     assert next(row.trust for row in back if not row.brakes) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bench", [("avoidance.beacon_interval_max_s=1.0",)], indirect=True)
 def test_of_many_who_holds_finds_out_who_is_near_before_it_goes_on(bench: FleetBench):
     controller = bench.agents[1]._controller
@@ -236,6 +241,7 @@ def tell(bench: FleetBench, robot: int, here: bool) -> None:
             agent.present(f"few/alive/robot/{robot}/agent", here)
 
 
+@pytest.mark.slow
 def test_a_neighbour_to_whose_agent_the_connection_is_lost_is_given_up_at_once(bench: FleetBench):
     """Long before its silence would say so."""
     silence(bench, 3)
@@ -251,6 +257,7 @@ def test_a_neighbour_to_whose_agent_the_connection_is_lost_is_given_up_at_once(b
     assert back[-1].trust == 1.0
 
 
+@pytest.mark.slow
 def test_a_token_alone_brings_nobody_back(bench: FleetBench):
     silence(bench, 3)
     tell(bench, 3, False)
@@ -259,12 +266,14 @@ def test_a_token_alone_brings_nobody_back(bench: FleetBench):
     assert watch(bench, 0.5)[-1].state is State.DEGRADED
 
 
+@pytest.mark.slow
 def test_when_all_connections_are_lost_the_robot_holds(bench: FleetBench):
     tell(bench, 2, False)
     tell(bench, 3, False)
     assert watch(bench, 0.04)[-1].state is State.HOLDING
 
 
+@pytest.mark.slow
 def test_a_neighbour_that_does_not_follow_loses_its_edge_but_not_its_room(bench: FleetBench):
     bench.say("few/stop", Stop(1, bench.now, ""), [bench.agents[3], bench.plants[3]])
     bench.cut = lambda key, _node: key == "few/robot/3/told"

@@ -581,6 +581,7 @@ def test_a_file_cut_anywhere_is_read_to_its_last_complete_chunk(tmp_path: Path, 
     assert lengths[-1] == len(poses), "only the index was missing"
 
 
+@pytest.mark.slow
 def test_damaged_bytes_are_never_a_traceback(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     chance = random.Random(2008)

@@ -47,6 +47,7 @@ def texts_in_svg(path: Path) -> set[str]:
     return {"".join(text.itertext()).strip() for text in texts}
 
 
+@pytest.mark.slow
 def test_text_in_an_svg_is_text(drawn: Path) -> None:
     words = texts_in_svg(drawn / "distances.svg")
     assert {"1–2", "1–3", "2–3", "safe distance", "fleet time (s)"} <= words

@@ -52,6 +52,7 @@ def test_a_robot_without_edges_whose_agent_is_dead_has_not_settled() -> None:
     assert (row.safe, row.settled) == (True, False)
 
 
+@pytest.mark.slow
 def test_a_process_that_drives_many_runs_does_not_grow_with_each() -> None:
     plan = make_plan(Question("alone", ALONE, None, ("fleet.duration_s=0.5",), (), 8, None))
     objects = []

@@ -57,6 +57,7 @@ def test_a_run_has_it(tmp_path: Path) -> None:
     assert f"<td>{LONGEST.meaning}</td>" in page
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("with_longest")
 def test_a_sweep_has_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fields = ["--over", "control.kp=0.5,1", "--over", "faults.delay=0,100ms"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -68,6 +69,7 @@ def look(known: Peers, now_ns: int) -> tuple[list[int], tuple[int, ...]]:
     return found, tuple(peer.robot for peer in known.known if is_given_up(peer))
 
 
+@pytest.mark.slow
 @settings(max_examples=400)
 @given(st.lists(st.one_of(seldom, usual, hands, beacons, told, others, waits), max_size=30))
 def test_those_are_found_whom_a_look_at_all_of_them_finds(events: list[tuple[object, ...]]):

@@ -124,6 +124,7 @@ def test_positions_count_from_its_own_origin() -> None:
     assert geodetic_to_local(origin, place) == pytest.approx((at.x, at.y), abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_phantom_speed_at_rest() -> None:
     speeds = []
     for seed in range(5):

@@ -40,6 +40,7 @@ def test_obstacles_are_filled_and_named_and_a_fence_is_a_dashed_line() -> None:
     assert not axes.texts[0].get_parse_math()
 
 
+@pytest.mark.slow
 def test_a_picture_is_drawn_once_for_each_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a layout engine matplotlib draws all of it once more, unseen."""
     drawn = []

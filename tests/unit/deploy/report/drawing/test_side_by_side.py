@@ -107,6 +107,7 @@ def fork_ends(folder: Path, how: Callable[[], None]) -> None:
     assert {by(path) for path in paths} == {here}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [is_killed, fails])
 def test_what_a_fork_does_not_finish_is_done_here(tmp_path: Path, how: Callable[[], None]) -> None:
     tried(fork_ends, tmp_path, how)
@@ -137,5 +138,6 @@ def is_interrupted() -> None:
         os.kill(number, 0)
 
 
+@pytest.mark.slow
 def test_what_is_raised_is_raised_here_and_no_process_stays() -> None:
     tried(is_interrupted)

@@ -54,6 +54,7 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_a_bag_is_a_folder_that_is_read_back(run: Path) -> None:
     (bag,) = export(run, "rosbag2")
     assert bag == run / "export" / "rosbag2"
@@ -90,6 +91,7 @@ def test_messages_lie_in_the_file_in_the_order_of_time(run: Path) -> None:
     assert [time_ns for _, time_ns in found] == sorted(time_ns for _, time_ns in found)
 
 
+@pytest.mark.slow
 def test_its_metadata_are_such_as_humble_reads(run: Path) -> None:
     (bag,) = export(run, "rosbag2")
     about = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
@@ -127,6 +129,7 @@ def test_quality_of_service(run: Path) -> None:
     assert latched == {"/tf_static", "/rosout", "/robot_1/path", "/robot_2/path", "/robot_3/path"}
 
 
+@pytest.mark.slow
 def test_a_simulated_run(tmp_path: Path) -> None:
     fleet = trio(duration=1.0)
     folder = leave_run(tmp_path / "run", fleet, driven(fleet))
@@ -139,6 +142,7 @@ def test_a_simulated_run(tmp_path: Path) -> None:
     assert {"/robot_1/pose", "/robot_3/wanted", "/edge_1_2/error"} <= set(at_epoch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError("No space left on device")])
 @pytest.mark.parametrize("begun", [0, 50])
 def test_an_export_that_fails_leaves_the_earlier_one(
