@@ -22,13 +22,7 @@ from handfast.agent.fleet.loading import digest, load_fleet, read_text
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.messages import key_expressions
 from handfast.agent.recorder.folder import FolderInUseError, RecordingFolder, recording_files
-from handfast.agent.recorder.recorder import (
-    About,
-    Received,
-    RobotRecorder,
-    known_orders,
-    order_keys,
-)
+from handfast.agent.recorder.recorder import About, Received, RobotRecorder, known_orders, order_keys
 from handfast.agent.runtime.certificate_wait import wait_until_valid
 from handfast.agent.runtime.loop import Log
 from handfast.agent.runtime.process import StartError, logger, open_bus, robot_arguments

@@ -11,8 +11,9 @@ import binascii
 from collections.abc import Callable, Container, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from typing import IO, Final, NamedTuple, Self, cast
+from typing import Final, NamedTuple, Self
 
 from mcap.records import Metadata
 from mcap.stream_reader import StreamReader
@@ -95,29 +96,6 @@ def order_message(payload: bytes) -> Message:
         return decode(unverified(payload))
 
 
-class _Sink:
-    """Collects what `MessageFile` writes until it goes to the disk."""
-
-    def __init__(self) -> None:
-        self._parts: list[bytes] = []
-        self._at = 0
-
-    def write(self, data: bytes) -> int:
-        self._parts.append(bytes(data))
-        self._at += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        return self._at
-
-    def flush(self) -> None: ...
-
-    def take(self) -> bytes:
-        data = b"".join(self._parts)
-        self._parts.clear()
-        return data
-
-
 class RobotRecorder:
     """Records one robot. A context manager, whose end waits for the disk.
 
@@ -147,10 +125,11 @@ class RobotRecorder:
         self._writing: Future[None] | None = None
         self._written = 0
         """Number of the messages that are being written."""
-        self._sink = _Sink()
+        self._stream = BytesIO()
+        """Contents of the newest file, small enough to be kept in memory."""
+        self._taken = 0
+        """Length of what has gone to the disk."""
         self._file: MessageFile | None = None
-        self._begins = True
-        """True if nothing of the file has been written to the disk."""
         self._count = self._bytes = self._begun_ns = 0
         """Messages that wait for the disk, their size, and the reception of the first."""
         self._retry_ns: int | None = None
@@ -232,14 +211,13 @@ class RobotRecorder:
         if self._file is None:
             return
         self._file.flush()
-        data = self._sink.take()
-        if ends or self._folder.is_full_with(len(data)):
-            ends = True
+        ends = ends or self._folder.is_full_with(self._stream.tell() - self._taken)
+        if ends:
             self._file.finish()
-            data += self._sink.take()
             self._file = None
+        begins, data = not self._taken, bytes(self._stream.getbuffer()[self._taken :])
+        self._taken += len(data)
         self._written, self._count, self._bytes = self._count, 0, 0
-        begins, self._begins = self._begins, False
         self._writing = self._disk.submit(self._folder.append, data, begins=begins, ends=ends)
 
     def _settle(self, now_ns: int) -> None:
@@ -279,9 +257,8 @@ class RobotRecorder:
     def _begin(self) -> MessageFile:
         about = self._about
         run = {"version": about.version, "fleet": about.fleet, "mode": "run", "robot": str(about.robot)}
-        self._sink, self._begins = _Sink(), True
-        stream = cast("IO[bytes]", self._sink)
-        self._file = MessageFile(stream, run | {"digest": about.digest}, about.fleet_toml)
+        self._stream, self._taken = BytesIO(), 0
+        self._file = MessageFile(self._stream, run | {"digest": about.digest}, about.fleet_toml)
         for (key, payload), at_ns in self._known.items():
             _write_order(self._file, at_ns, key, payload)
         return self._file
