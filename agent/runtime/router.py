@@ -12,7 +12,7 @@ import resource
 import socket
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
@@ -32,7 +32,7 @@ from handfast.agent.runtime.systemd_notify import SystemdNotifier
 from handfast.agent.security.credentials import CredentialsError, load
 from handfast.agent.security.identity import MAIN, Security, of_router
 from handfast.agent.security.refusals import FILTER
-from handfast.agent.transport.bus import Bus, BusError, Router, init_log
+from handfast.agent.transport.bus import Bus, BusError, Presence, Router, init_log
 from handfast.agent.transport.sealed_bus import secured
 from handfast.agent.transport.zenoh_log import ZenohLog
 
@@ -97,6 +97,16 @@ def security_of(fleet: Fleet, folder: Path, name: str = MAIN) -> Security | None
     return secured(fleet, load(folder, of_router(fleet.fleet.name, name), time.time()))
 
 
+def _news(router: Router, presence: Presence | None, zenoh_log: ZenohLog, now_ns: int) -> Iterator[str]:
+    """Lines for the log about what has happened since the last look."""
+    for key, here in presence.update() if presence is not None else ():
+        robot, role = robot_of_alive(key) or (0, "")
+        yield f"robot {robot}'s {role} {'is connected' if here else 'is not connected any more'}"
+    yield from zenoh_log.lines(now_ns)
+    for endpoint in router.look(now_ns):
+        yield f"was deaf to {endpoint or DIALLED}: link opened anew"
+
+
 def serve(
     fleet: Fleet,
     listen: str,
@@ -142,13 +152,8 @@ def serve(
             now_ns = time.monotonic_ns()
             if now_ns >= look_due_ns:
                 look_due_ns = now_ns + POLL_NS
-                for key, here in presence.update() if presence is not None else ():
-                    robot, role = robot_of_alive(key) or (0, "")
-                    log(f"robot {robot}'s {role} {'is connected' if here else 'is not connected any more'}")
-                for line in zenoh_log.lines(now_ns):
+                for line in _news(router, presence, zenoh_log, now_ns):
                     log(line)
-                for endpoint in router.look(now_ns):
-                    log(f"was deaf to {endpoint or DIALLED}: link opened anew")
                 service.lives(now_ns)
             rest_ns = look_due_ns - time.monotonic_ns()
             if batcher is not None:
