@@ -23,11 +23,9 @@ from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.messages import key_expressions
 from handfast.agent.recorder.folder import FolderInUseError, RecordingFolder, recording_files
 from handfast.agent.recorder.recorder import About, Received, RobotRecorder, known_orders, order_keys
-from handfast.agent.runtime.certificate_wait import wait_until_valid
 from handfast.agent.runtime.loop import Log
 from handfast.agent.runtime.process import StartError, logger, open_bus, robot_arguments
-from handfast.agent.runtime.shutdown import Shutdown
-from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.runtime.service import Shutdown, SystemdNotifier, wait_until_valid
 from handfast.agent.runtime.version import handfast_version
 from handfast.agent.security.identity import of_robot
 from handfast.agent.transport.bus import Bus, BusError

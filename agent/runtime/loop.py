@@ -13,8 +13,7 @@ from handfast.agent.messages.codec import decode, head
 from handfast.agent.messages.types import Stop
 from handfast.agent.node import TOLD_SHARE, Node
 from handfast.agent.runtime.order_store import OrderStore
-from handfast.agent.runtime.shutdown import PARENT_PERIOD_NS, Shutdown
-from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.runtime.service import PARENT_PERIOD_NS, Shutdown, SystemdNotifier
 from handfast.agent.transport.bus import Bus
 from handfast.agent.transport.presence import Watches
 

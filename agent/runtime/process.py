@@ -21,13 +21,11 @@ from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.ticks import Deadlines
 from handfast.agent.messages import key_expressions
 from handfast.agent.node import Node
-from handfast.agent.runtime.certificate_wait import wait_until_valid
 from handfast.agent.runtime.clock import RealClock
 from handfast.agent.runtime.loop import A_ROUTER, Log, OrderKeeper, loop
 from handfast.agent.runtime.order_store import OrderStore
 from handfast.agent.runtime.preloaded import fleet_of, started
-from handfast.agent.runtime.shutdown import Shutdown, add_parent_argument
-from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.runtime.service import Shutdown, SystemdNotifier, add_parent_argument, wait_until_valid
 from handfast.agent.security.credentials import CredentialsError, NotValidNowError
 from handfast.agent.security.identity import of_robot
 from handfast.agent.security.private_files import KeyFileError
@@ -136,7 +134,7 @@ def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any)
     Raises:
         handfast.agent.transport.bus.BusError: it cannot be opened now; nor can it with a certificate that is
         not valid
-            now (`agent.runtime.certificate_wait`).
+            now (`agent.runtime.service`).
         StartError: the fleet is secured and the robot's certificate cannot be used.
     """
     if not fleet.is_secured:

@@ -129,7 +129,7 @@ def _limit_overruns() -> None:
 
 
 def _is_unit() -> bool:
-    """Whether systemd started this process (`agent.runtime.systemd_notify`)."""
+    """Whether systemd started this process (`agent.runtime.service`)."""
     return "NOTIFY_SOCKET" in os.environ
 
 

@@ -24,11 +24,9 @@ from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.messages.key_expressions import alive, robot_of_alive
 from handfast.agent.runtime.batcher import Batcher
-from handfast.agent.runtime.certificate_wait import wait_until_valid
 from handfast.agent.runtime.loop import DIALLED, Log
 from handfast.agent.runtime.realtime import raise_limit
-from handfast.agent.runtime.shutdown import Shutdown, add_parent_argument
-from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.runtime.service import Shutdown, SystemdNotifier, add_parent_argument, wait_until_valid
 from handfast.agent.security.credentials import CredentialsError, load
 from handfast.agent.security.identity import MAIN, Security, of_router
 from handfast.agent.security.refusals import FILTER

@@ -13,7 +13,7 @@ SAID_NS: Final = NS_PER_S // 2
 """A router that has nothing to pass on sends an empty batch of beacons after so long."""
 PATIENCE_NS: Final = 3 * NS_PER_S
 """Where no batch has come for so long, as from a zenohd, robots are listened to singly, until one comes. A
-router that hangs is ended after as long (`agent.runtime.systemd_notify`)."""
+router that hangs is ended after as long (`agent.runtime.service`)."""
 SINGLY_KEPT: Final = 64
 """So many hand states of each robot that came by themselves are known: when a router that stood goes on, all
 that waited there come at once, and as many wait here (`agent.node.INBOX_SIZE`)."""

@@ -29,7 +29,7 @@ from handfast.deploy.drive.timing import Timing
 from handfast.deploy.faults.process_actions import WORDS, Action, actions
 from handfast.deploy.orders.mission_editing import OrderError
 from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
-from handfast.deploy.processes.protocol import Ended, FleetProcesses
+from handfast.deploy.processes.child import Ended, FleetProcesses
 from handfast.deploy.session.stop import Way
 
 POLL_S: Final = 0.04

@@ -34,7 +34,7 @@ from handfast.deploy.drive.watch import Watch, fleet_time_s
 from handfast.deploy.faults.process_actions import Process
 from handfast.deploy.inventory.own_orders import OwnOrders
 from handfast.deploy.orders.operator import HEARD_NS, Operator, Order
-from handfast.deploy.processes.protocol import FleetProcesses
+from handfast.deploy.processes.child import FleetProcesses
 from handfast.deploy.recording.recorder import RecordingError
 from handfast.deploy.session.author import author
 from handfast.deploy.session.live_operators import StopDoor

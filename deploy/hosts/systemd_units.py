@@ -1,7 +1,7 @@
 """The systemd user units of robots and routers, one for each process, with their sandboxes (PURE).
 
 A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that it
-lives (`agent.runtime.systemd_notify`), and it bounds what the process may take. Neither ssh nor the
+lives (`agent.runtime.service`), and it bounds what the process may take. Neither ssh nor the
 operator's machine is needed for that.
 
 The sandbox has two parts. What the kernel refuses by filters of system calls works for every user. What needs

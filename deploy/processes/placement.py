@@ -1,10 +1,12 @@
-"""A fleet on this machine: which ports its processes have, and where simulated rovers stand."""
+"""Places of a fleet on this machine: ports of its processes, which no other run takes before its start, and
+positions of simulated rovers."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -12,12 +14,79 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from handfast.agent.fleet.hosts import NetworkSection
+from handfast.agent.common.errors import Error
+from handfast.agent.fleet.hosts import PORT_MAX, NetworkSection
 from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot
-from handfast.agent.runtime.runtime_folder import private_folder
-from handfast.deploy.processes.ports import Reservation
+from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
+
+BLOCK: Final = 128
+"""Ports are reserved in blocks of this many."""
+
+
+class NoPortsError(Error, RuntimeError):
+    """No run of free ports is left."""
+
+
+def _free(address: str, port: int) -> bool:
+    """Whether nobody has the port, for TCP or UDP."""
+    with socket.socket() as stream, socket.socket(type=socket.SOCK_DGRAM) as datagram:
+        stream.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            stream.bind((address, port))
+            datagram.bind((address, port))
+        except OSError:
+            return False
+    return True
+
+
+class Reservation:
+    """`count` ports in a row on `address`, from `base` or the next free place after it.
+
+    Between runs on one machine a lock on the block of ports decides, held until `close` or the
+    end of the process; other programs are found by trying the ports.
+
+    Raises:
+        NoPortsError: when there is no room up to `PORT_MAX`.
+    """
+
+    def __init__(self, address: str, base: int, count: int) -> None:
+        self._locks: list[int] = []
+        first = base
+        while base + count - 1 <= PORT_MAX:
+            if self._lock(base, count):
+                if all(_free(address, port) for port in range(base, base + count)):
+                    self.base = base
+                    return
+                self.close()
+            base += BLOCK
+        raise NoPortsError(
+            f"no {count} free ports in a row from {first} to {PORT_MAX} on {address}: "
+            "end other runs, or set a lower [network] base_port"
+        )
+
+    def _lock(self, base: int, count: int) -> bool:
+        try:
+            folder = private_folder()
+        except NotPrivateError as error:
+            raise NoPortsError(str(error)) from None
+        for block in range(base // BLOCK, (base + count - 1) // BLOCK + 1):
+            handle = os.open(folder / f"ports-{block}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            self._locks.append(handle)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                self.close()
+                return False
+        return True
+
+    def close(self) -> None:
+        """Gives the ports back."""
+        for handle in self._locks:
+            os.close(handle)
+        self._locks.clear()
+
 
 ADDRESS: Final = "127.0.0.1"
 _ORDERS: Final = "orders"
@@ -110,7 +179,7 @@ def place(fleet: Fleet) -> Placed:
     so a bridge knows of no simulators.
 
     Raises:
-        handfast.deploy.processes.ports.NoPortsError: when there are none.
+        handfast.deploy.processes.placement.NoPortsError: when there are none.
     """
     simulated = [robot.id for robot in fleet.robots if robot.is_simulated]
     of_processes = 2 * len(fleet.robots)

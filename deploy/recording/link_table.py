@@ -1,19 +1,41 @@
-"""What links did to messages on purpose, as columns: every decision of a run
+"""Directed links of a fleet, and what they did to messages on purpose, as columns: every decision of a run
 (`agent.messages.types.LinkTrace`)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handfast.agent.formation.points import Floats
 from handfast.agent.messages.types import LOST, TOPICS
-from handfast.deploy.recording.links import Link
+
+
+class Link(NamedTuple):
+    """A directed link: what robot `destination` hears from robot `source`; `topic` is one of `TOPICS`."""
+
+    source: int
+    destination: int
+    topic: str
+
+    def __str__(self) -> str:
+        return f"{self.source}→{self.destination}" + (f" {self.topic}" if self.topic != "hand" else "")
+
+
+def links_of(ids: Iterable[int], edges: Iterable[tuple[int, int]]) -> Iterator[Link]:
+    """Every link that a fleet with these edges always has: both ways along each edge, and between each agent
+    and its plant."""
+    for i, j in edges:
+        yield Link(i, j, "hand")
+        yield Link(j, i, "hand")
+    for robot in ids:
+        yield Link(robot, robot, "state")
+        yield Link(robot, robot, "wrench")
+
 
 Ints = NDArray[np.int64]
 Clock = tuple[int, float]

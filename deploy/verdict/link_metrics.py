@@ -28,8 +28,7 @@ from handfast.deploy.faults.rules import (
     windows,
     words,
 )
-from handfast.deploy.recording.link_table import Ints, LinkTable
-from handfast.deploy.recording.links import Link, links_of
+from handfast.deploy.recording.link_table import Ints, Link, LinkTable, links_of
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.tables import StatusTable
 

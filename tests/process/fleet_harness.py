@@ -25,7 +25,7 @@ from handfast.agent.messages.types import Message, Mission, PlantState, Status, 
 from handfast.agent.messages.validation import Malformed
 from handfast.agent.transport.bus import Bus, Presence
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.processes.placement import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, Command, environment, last_lines, wait_for
 
 BASE_PORT: Final = 21_120

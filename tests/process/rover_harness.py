@@ -25,8 +25,7 @@ from handfast.agent.messages.types import Checks, Resume
 from handfast.bridges.mavlink.transport.transport import open_transport
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.processes.local import VEHICLE
-from handfast.deploy.processes.placement import Vehicle, place, vehicle
-from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.processes.placement import Reservation, Vehicle, place, vehicle
 from tests.ground_station import Operator
 from tests.process.fleet_harness import Robots
 from tests.process.harness import ADDRESS, PATIENCE_S

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.processes.placement import Reservation
 from tests.process.harness import ADDRESS, ROOT, environment, last_lines, no_trouble
 
 pytestmark = pytest.mark.long

@@ -15,8 +15,7 @@ import pytest
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.sequence_numbers import FIRST_ROUND
 from handfast.agent.messages.types import LOST
-from handfast.deploy.recording.link_table import LinkTable
-from handfast.deploy.recording.links import Link
+from handfast.deploy.recording.link_table import Link, LinkTable
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording
 from tests.process.harness import (

@@ -17,8 +17,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.types import PlantState, Status
 from handfast.bridges.mavlink.transport.transport import open_transport
 from handfast.deploy.processes.local import VEHICLE
-from handfast.deploy.processes.placement import place, vehicle
-from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.processes.placement import Reservation, place, vehicle
 from tests.ground_station import Operator
 from tests.process.harness import ADDRESS, PATIENCE_S, measured, no_trouble_in_logs
 from tests.process.rover_harness import BASE_PORT, Rovers, pair_of_rovers, rovers

@@ -35,7 +35,7 @@ from handfast.agent.security.identity import (
 from handfast.agent.security.sealed_order import Sealer
 from handfast.agent.transport.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
 from handfast.deploy.inventory.certificate_authority import Authority
-from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.processes.placement import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, environment, measured, no_trouble, wait_for
 from tests.trusted import FLEET, authority, credentials, security
 

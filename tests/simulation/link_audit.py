@@ -25,8 +25,7 @@ from handfast.agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
 from handfast.agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.faults.rules import gives_link_effects
-from handfast.deploy.recording.link_table import LinkTable
-from handfast.deploy.recording.links import Link, links_of
+from handfast.deploy.recording.link_table import Link, LinkTable, links_of
 from handfast.deploy.recording.recording import LiveFaults, Recording
 
 DIFFERENCES_MAX: Final = 20

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _router(options: argparse.Namespace) -> int:
     from handfast.agent.runtime.router import others, serve
-    from handfast.agent.runtime.systemd_notify import SystemdNotifier
+    from handfast.agent.runtime.service import SystemdNotifier
     from handfast.agent.transport.bus import settings_of
 
     fleet = load(options)

@@ -20,7 +20,7 @@ from handfast.agent.runtime.clock import RealClock
 from handfast.agent.runtime.process import StartError
 from handfast.agent.transport.bus import Bus, BusError
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.processes.placement import Reservation
 from handfast.plant import server
 from handfast.plant.__main__ import main, place
 from handfast.plant.unicycle import from_fleet

@@ -14,8 +14,7 @@ from handfast.agent.messages.types import Mission, PlantState, Stop
 from handfast.agent.node import Node
 from handfast.agent.runtime.loop import ROUTER_PAUSE_NS, OrderKeeper, look_at_links, loop
 from handfast.agent.runtime.process import names_of
-from handfast.agent.runtime.shutdown import Shutdown
-from handfast.agent.runtime.systemd_notify import SystemdNotifier
+from handfast.agent.runtime.service import Shutdown, SystemdNotifier
 from handfast.agent.transport.bus import Bus
 from handfast.plant.node import PlantNode
 from handfast.plant.unicycle import from_fleet

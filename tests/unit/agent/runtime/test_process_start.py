@@ -14,7 +14,7 @@ from handfast.agent.__main__ import start
 from handfast.agent.runtime import process
 from handfast.agent.security.credentials import CredentialsError, NotValidNowError
 from handfast.agent.transport.bus import BusError
-from tests.unit.agent.runtime.test_systemd_notify import all_of
+from tests.unit.agent.runtime.test_service import all_of
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 2, y_m = 0 }]

@@ -19,7 +19,7 @@ from handfast.deploy.drive import realtime
 from handfast.deploy.drive.preflight import summary
 from handfast.deploy.drive.realtime import RECORDING_NICE, lines, trial
 from handfast.deploy.drive.vehicle_checks import OK, WARNING, Line
-from handfast.deploy.processes.protocol import FleetProcesses
+from handfast.deploy.processes.child import FleetProcesses
 
 ASKED = ProcessSection(realtime=True)
 LINKS = (Thread(11, "app-0", SCHED_FIFO, 40, (0, 1)), Thread(12, "app-1", SCHED_FIFO, 40, (0, 1)))

@@ -15,7 +15,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from handfast.bridges.mavlink.simulator.settings import parse_home
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.processes import placement, ports
+from handfast.deploy.processes import placement
 from handfast.deploy.processes.placement import held_orders, orders_folder, place, vehicle
 
 
@@ -116,8 +116,8 @@ def test_a_port_that_only_udp_uses_is_not_free() -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         number = other.getsockname()[1]
-        assert not ports._free("127.0.0.1", number)
-    assert ports._free("127.0.0.1", number)
+        assert not placement._free("127.0.0.1", number)
+    assert placement._free("127.0.0.1", number)
 
 
 def test_orders_of_a_run_that_was_killed_are_removed_by_the_next(

@@ -19,7 +19,7 @@ from handfast.deploy.console.arguments import InputError
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from handfast.deploy.inventory.operator_credentials import KEYS
-from handfast.deploy.processes.ports import Reservation
+from handfast.deploy.processes.placement import Reservation
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recorder import RecordingError
 from tests.process.fleet_harness import BASE_PORT
