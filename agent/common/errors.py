@@ -8,11 +8,15 @@ from typing import Final
 
 _OPERATOR: Final = "handfast.deploy"
 _EXTRAS: Final = {
-    "pymap3d": ("rovers'", "rover"),
-    "serial": ("rovers'", "rover"),
-    "distributed": ("cluster's", "cluster"),
+    "cryptography": "security",
+    "distributed": "cluster",
+    "foxglove": "foxglove",
+    "pyarrow": "tables",
+    "pymap3d": "rover",
+    "rosbags": "ros2",
+    "serial": "rover",
 }
-"""Of packages that are not the operator's: whose they are, and the extra that brings them."""
+"""The extra that brings a package; it is ``operator`` for all others."""
 
 
 class Error(Exception):
@@ -34,8 +38,9 @@ def packages_named(what: str = "this") -> Iterator[None]:
         name = (error.name or "").partition(".")[0]
         if not name or (name == "handfast" and error.name != _OPERATOR):
             raise
-        whose, extra = _EXTRAS.get(name, ("operator's", "operator"))
-        raise MissingPackageError(
-            f"{what} needs the package {error.name}: install the {whose} extra, "
-            f"pip install 'handfast[{extra}]'"
-        ) from None
+        raise MissingPackageError(f"{what} needs the package {error.name}: {install(name)}") from None
+
+
+def install(package: str) -> str:
+    """Return the command that installs a package together with handfast."""
+    return f"pip install 'handfast[{_EXTRAS.get(package, 'operator')}]'"

@@ -158,6 +158,8 @@ def run(
         try:
             with in_words_of_python():
                 folder = RunFolder(out_folder(target, settings.fleet.name), settings, "run")
+            if folder.lacks:
+                print(f"handfast: {folder.lacks}", file=sys.stderr)
             view = make_view(None if progress else StringIO())
             drive = LocalRun(settings, folder, view, interrupt, vehicles)
             try:

@@ -137,8 +137,7 @@ class Fleet:
         """The fleet file as it stands, every field spelled out."""
         if self.recorded:
             return self._text  # with the tables of plugins that are not here
-        with packages_named("Fleet.toml"):
-            import tomli_w
+        import tomli_w
 
         return tomli_w.dumps(to_dict(self.settings))
 
@@ -199,8 +198,8 @@ class Fleet:
         )
 
     def _with_tables(self, faults: str | Path | None, orders: str | Path | None) -> str:
-        with packages_named("a fleet with faults or orders"):
-            import tomli_w
+        import tomli_w
+
         texts: Mapping[str, object] = {"faults": faults, "orders": orders}
         for name, given in texts.items():
             if given is not None and not isinstance(given, (str, PathLike)):
@@ -298,8 +297,8 @@ def load(fleet: Source, changes: Mapping[str, object] | None = None, **named: Un
     if isinstance(source, Fleet):
         loaded = source.with_() if source.recorded else source
     elif isinstance(source, Mapping):
-        with packages_named("a fleet of tables"):
-            import tomli_w
+        import tomli_w
+
         try:
             loaded = Fleet(tomli_w.dumps(source), "the tables")
         except (TypeError, ValueError) as error:

@@ -167,8 +167,7 @@ class Recording:
 
         if self._data.fleet_toml is not None:
             return Fleet(self._data.fleet_toml, str(self.folder or "the recording"), recorded=True)
-        with packages_named("Recording.fleet"):
-            import tomli_w
+        import tomli_w
 
         from handfast.agent.fleet.loading import to_dict
 

@@ -109,7 +109,7 @@ class Drive:
         With `detach` only until all have acknowledged the mission.
 
         Raises:
-            handfast.deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is
+            handfast.deploy.recording.run_files.RecordingError: the recording cannot be written (the fleet is
             stopped first).
         """
         try:
@@ -147,7 +147,7 @@ class Drive:
         """Takes all that waits still, of processes that have ended meanwhile.
 
         Raises:
-            handfast.deploy.recording.recorder.RecordingError: the recording cannot be written.
+            handfast.deploy.recording.run_files.RecordingError: the recording cannot be written.
         """
         self._fleet_state.collect(inf)
 

@@ -35,7 +35,7 @@ from handfast.deploy.faults.process_actions import Process
 from handfast.deploy.inventory.own_orders import OwnOrders
 from handfast.deploy.orders.operator import HEARD_NS, Operator, Order
 from handfast.deploy.processes.child import FleetProcesses
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.session.author import author
 from handfast.deploy.session.live_operators import StopDoor
 from handfast.deploy.session.session import valid

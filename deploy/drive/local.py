@@ -63,7 +63,7 @@ class LocalRun:
 
         Raises:
             handfast.agent.transport.bus.BusError: the operator's session cannot be opened.
-            handfast.deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is
+            handfast.deploy.recording.run_files.RecordingError: the recording cannot be written (the fleet is
             stopped first).
         """
         # Known before it starts and until it has ended: whoever wants to stop it must find it.

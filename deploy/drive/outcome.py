@@ -33,7 +33,11 @@ def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolde
     """
     from handfast.deploy.report.run_folder import RunFolder
 
-    return RunFolder(out_folder(options.out, fleet.fleet.name), fleet, mode)
+    folder = RunFolder(out_folder(options.out, fleet.fleet.name), fleet, mode)
+    if folder.lacks:
+        print(f"handfast: {folder.lacks}", file=sys.stderr)
+        options.report = False
+    return folder
 
 
 def refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
@@ -63,7 +67,7 @@ def finish(
     warnings: Sequence[str] = (),
 ) -> int:
     """Completes the folder, says the verdict, gives the exit status."""
-    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.recording.run_files import RecordingError
     from handfast.deploy.report.run_folder import NotDrawn
 
     try:

@@ -14,7 +14,7 @@ from handfast.deploy.drive.fleet_state import COLLECT_S, FleetState
 from handfast.deploy.drive.readiness import stands
 from handfast.deploy.drive.timing import Timing
 from handfast.deploy.orders.stop_outcome import Stopping, has_acknowledged
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.session.stop import Way
 
 LOOK_S: Final = 0.02

@@ -26,7 +26,7 @@ from handfast.agent.recorder.recorder import Received
 from handfast.agent.security.sealed_order import Opener
 from handfast.deploy.merging.believed import FleetFiles, HeldFaults, Order, orders_given
 from handfast.deploy.merging.robot_files import GAP_NS, Damage, MergeError, RobotFile, by_time, recordings
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report.run_folder import RunFolder
 from handfast.deploy.verdict.run_result import RunResult
 
@@ -98,7 +98,7 @@ def merge(
     Raises:
         MergeError: there is nothing to make it of, or something cannot be read.
         handfast.deploy.report.run_folder.FolderError: `out` is not empty or cannot be written.
-        handfast.deploy.recording.recorder.RecordingError: the recording cannot be written.
+        handfast.deploy.recording.run_files.RecordingError: the recording cannot be written.
     """
     damage = Damage()
     plan = _plan(recordings(folders, damage), choice, known or Known())

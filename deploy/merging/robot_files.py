@@ -30,7 +30,7 @@ from handfast.agent.recorder.recorder import (
 )
 from handfast.deploy.recording.mcap_reader import McapFile
 from handfast.deploy.recording.mcap_records import Records
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 
 GAP_NS: Final = NS_PER_S
 """A robot that is not recorded for this long is missing."""

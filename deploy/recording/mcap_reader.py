@@ -30,9 +30,9 @@ from handfast.agent.recorder.message_file import FLEET_ATTACHMENT, RUN_METADATA
 from handfast.agent.recorder.message_json import reader, schema_name
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.recording.mcap_records import MAGIC, Lost, Records, parsed, records_in
-from handfast.deploy.recording.recorder import OUTCOME_METADATA, RecordingError
+from handfast.deploy.recording.recorder import OUTCOME_METADATA
 from handfast.deploy.recording.recording import Damage, Recording
-from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
+from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, RecordingError
 
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _READERS: Final = {schema_name(cls): reader(cls) for cls in CLASSES}

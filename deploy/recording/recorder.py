@@ -18,7 +18,6 @@ from typing import IO, Final, Self
 
 import tomli_w
 
-from handfast.agent.common.errors import Error
 from handfast.agent.fleet.loading import law_name, to_dict
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.links.ingress import Decode
@@ -29,16 +28,12 @@ from handfast.agent.recorder.message_file import MessageFile
 from handfast.agent.runtime.version import handfast_version
 from handfast.deploy.recording.foxglove.channels import Channels
 from handfast.deploy.recording.foxglove.schemas import SCHEMAS
-from handfast.deploy.recording.run_files import must_have_a_name
+from handfast.deploy.recording.run_files import RecordingError, must_have_a_name
 
 OUTCOME_METADATA: Final = "handfast.outcome"
 
 FLUSH_PERIOD_NS: Final = 1_000_000_000
 """Period at which chunks are written: a killed process loses at most that."""
-
-
-class RecordingError(Error):
-    """A recording that cannot be written or read; the text is one line naming the file."""
 
 
 class Recorder:

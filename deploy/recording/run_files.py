@@ -1,10 +1,12 @@
-"""Names of the files in a run's folder; and whether one that is being written is there still."""
+"""Names of the files in a run's folder, and what can go wrong with them."""
 
 from __future__ import annotations
 
 import errno
 import os
 from typing import Final
+
+from handfast.agent.common.errors import Error
 
 FLEET_FILE: Final = "fleet.toml"
 """The fleet as it was driven, every setting spelled out."""
@@ -16,6 +18,10 @@ EVENTS_FILE: Final = "events.txt"
 REPORT_FILE: Final = "report.html"
 LOG_FOLDER: Final = "logs"
 """Holds one log for each process."""
+
+
+class RecordingError(Error):
+    """A recording that cannot be written or read; the text is one line naming the file."""
 
 
 def must_have_a_name(descriptor: int) -> None:

@@ -36,7 +36,7 @@ from handfast.agent.messages.types import (
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.recording.link_table import LinkTable
 from handfast.deploy.recording.mcap_reader import read_run
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.recording.tables import StatusTable, Table, columns
 from handfast.deploy.report.whole_file import whole_files
 from handfast.deploy.verdict.metrics import MESSAGES
@@ -81,8 +81,8 @@ def export(
         warn: told what of the recording could not be read, a line each.
 
     Raises:
-        RecordingError: unknown format, no pyarrow, not writable, or the run cannot be read; one line.
-        MissingPackageError: no rosbags.
+        RecordingError: unknown format, not writable, or the run cannot be read; one line.
+        MissingPackageError: no pyarrow, or no rosbags.
         FleetError: the run's fleet file is not valid.
     """
     if format not in (*TABLES, BAG):
@@ -250,13 +250,9 @@ def _write_json(path: Path, columns: Columns) -> None:
 
 
 def _parquet_writer() -> Callable[[Path, Columns], None]:
-    try:
+    with packages_named("--format parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    except ImportError:
-        raise RecordingError(
-            "Parquet needs pyarrow, which is not installed: pip install 'handfast[operator]'"
-        ) from None
 
     def write(path: Path, columns: Columns) -> None:
         arrays = {}

@@ -10,7 +10,7 @@ from typing import Final
 from matplotlib.figure import Figure
 
 from handfast.deploy.console.arguments import FIGURE_FORMATS
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report import distance_figure, force_figure, link_figure, timing_figure
 from handfast.deploy.report.drawing.plotting import styled, write
 from handfast.deploy.report.drawing.side_by_side import side_by_side

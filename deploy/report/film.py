@@ -25,7 +25,7 @@ from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.stability import SETTLED
 from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
 from handfast.deploy.playback.series import nearest
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report.drawing.plotting import (
     DASHED,
     GREY,

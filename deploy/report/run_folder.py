@@ -4,30 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import tomli_w
 
-from handfast.agent.common.errors import Error
+from handfast.agent.common.errors import Error, install
 from handfast.agent.fleet.loading import to_dict
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.links.ingress import Decode
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import Message
+from handfast.agent.messages.validation import Malformed
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.recording.collector import RunData
-from handfast.deploy.recording.recorder import Recorder, RecordingError
 from handfast.deploy.recording.run_files import (
     EVENTS_FILE,
     FLEET_FILE,
     LOG_FOLDER,
     METRICS_FILE,
     RECORDING_FILE,
+    RecordingError,
 )
 from handfast.deploy.report.events_file import write_events
 from handfast.deploy.verdict import metrics
 from handfast.deploy.verdict.run_result import RunResult
+
+if TYPE_CHECKING:
+    from handfast.deploy.recording.recorder import Recorder
 
 COMPLETING: Final = "recording and metrics.json are being completed, figures and report left out"
 COMPLETING_ALL: Final = "recording and metrics.json are being completed"
@@ -51,8 +56,16 @@ class NotDrawn(RecordingError):
         self.result = result
 
 
+def _lacks(what: str, *packages: str) -> str:
+    missing = next((name for name in packages if find_spec(name) is None), None)
+    return f"{what}: the package {missing} is not installed: {install(missing)}" if missing else ""
+
+
 class RunFolder:
     """A run's folder and its open recording.
+
+    Attributes:
+        lacks: one line that says what the run will not leave because a package is not installed, else empty.
 
     Args:
         path: made if need be; must be empty.
@@ -61,7 +74,7 @@ class RunFolder:
 
     Raises:
         FolderError: the folder is not empty or cannot be written.
-        handfast.deploy.recording.recorder.RecordingError: the recording cannot be opened.
+        handfast.deploy.recording.run_files.RecordingError: the recording cannot be opened.
     """
 
     def __init__(self, path: Path, fleet: Fleet, mode: str) -> None:
@@ -75,7 +88,13 @@ class RunFolder:
             self.fleet_file.write_text(toml, encoding="utf-8")
         except OSError as error:
             raise FolderError(f"cannot write the run's folder {path}: {error.strerror or error}") from None
-        self._recorder = Recorder(path / RECORDING_FILE, fleet, mode=mode, fleet_toml=toml)
+        self._recorder: Recorder | None = None
+        self.lacks = _lacks("there will be no recording and no report", "mcap", "orjson")
+        if not self.lacks:
+            from handfast.deploy.recording.recorder import Recorder
+
+            self.lacks = _lacks("there will be no report", "matplotlib")
+            self._recorder = Recorder(path / RECORDING_FILE, fleet, mode=mode, fleet_toml=toml)
         self._data = RunData(fleet, mode=mode, aside=path)
 
     def log(self, name: str) -> Path:
@@ -90,20 +109,28 @@ class RunFolder:
         Args:
             read: as `decode`, of who has read it already.
         """
-        message = self._recorder.record(received_ns, key, payload, read)
+        message: Message | None = None
+        if self._recorder is not None:
+            message = self._recorder.record(received_ns, key, payload, read)
+        else:
+            with suppress(Malformed):
+                message = read(payload)
         if message is not None:
             self._data.feed(received_ns, key, message)
         return message
 
     def record_message(self, received_ns: int, key: str, message: Message) -> None:
         """Records a message that is decoded already."""
-        self._recorder.record_message(received_ns, key, message)
+        if self._recorder is not None:
+            self._recorder.record_message(received_ns, key, message)
         self._data.feed(received_ns, key, message)
 
     def close(
         self, reasons: Sequence[str] = (), *, interrupted: bool = False, warnings: Sequence[str] = ()
     ) -> None:
         """Completes the recording with what only the operator knows of the run's end."""
+        if self._recorder is None:
+            return
         try:
             self._recorder.set_outcome(reasons, interrupted=interrupted, warnings=warnings)
         finally:
@@ -127,10 +154,10 @@ class RunFolder:
             formats: of the figures, besides PNG.
 
         Raises:
-            handfast.deploy.recording.recorder.RecordingError: something cannot be written.
+            handfast.deploy.recording.run_files.RecordingError: something cannot be written.
             NotDrawn: that are only figures or report.
         """
-        interrupt = interrupt or Interrupt()
+        interrupt, report = interrupt or Interrupt(), report and not self.lacks
         before = interrupt.count
         with interrupt.answered(COMPLETING if report else COMPLETING_ALL):
             self.close(reasons, interrupted=before > 0, warnings=warnings)

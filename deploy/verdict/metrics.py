@@ -23,8 +23,8 @@ from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis, Approach, analyse, norm
 from handfast.deploy.analysis.places import last_there_s
 from handfast.deploy.analysis.rounding import largest, number, percentile
-from handfast.deploy.recording.recorder import RecordingError
 from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.verdict import lateness, link_metrics, oracles, reasons
 from handfast.deploy.verdict.tracking import Tracking
 from handfast.deploy.verdict.violations import Violation

@@ -51,7 +51,7 @@ def _fetch(options: argparse.Namespace) -> int:
     from handfast.deploy.inventory.own_orders import out_folder, refuse_full
     from handfast.deploy.merging.merge import Choice, Known, merge
     from handfast.deploy.merging.robot_files import MergeError
-    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.recording.run_files import RecordingError
     from handfast.deploy.report.run_folder import FolderError
     from handfast.deploy.session.sealing import order_opener
 

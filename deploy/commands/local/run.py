@@ -34,7 +34,7 @@ def _run(options: argparse.Namespace) -> int:
     from handfast.deploy.drive.display.live_view import make_view
     from handfast.deploy.drive.local import LocalRun
     from handfast.deploy.processes.placement import place
-    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.recording.run_files import RecordingError
     from handfast.deploy.view.beside import PageBeside
 
     interrupt = Interrupt()

@@ -28,7 +28,7 @@ def _simulate(options: argparse.Namespace) -> int:
     from handfast.agent.formation.geometry import resolve
     from handfast.deploy.drive.display.live_view import make_view
     from handfast.deploy.drive.watch import Watch
-    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.recording.run_files import RecordingError
     from handfast.deploy.simulate.simulation import Simulation
 
     interrupt = Interrupt()

@@ -184,7 +184,7 @@ def _attend(
     from handfast.deploy.drive.display.live_view import make_view
     from handfast.deploy.drive.drive import Drive
     from handfast.deploy.drive.preconditions import BROKEN_OFF
-    from handfast.deploy.recording.recorder import RecordingError
+    from handfast.deploy.recording.run_files import RecordingError
     from handfast.deploy.session.operator_bus import operator_bus
 
     view, processes = make_view(quiet=options.quiet), Attached(fleet)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 from typing import Protocol, TextIO
 
 from handfast.deploy.analysis.silent_bodies import in_words
@@ -25,7 +26,7 @@ def make_view(stream: TextIO | None = None, *, quiet: bool = False, period_s: fl
     When `quiet`, only what `say` is given.
     """
     stream = sys.stderr if stream is None else stream
-    if quiet or not stream.isatty():
+    if quiet or not stream.isatty() or find_spec("rich") is None:
         return Lines(stream, quiet=quiet, period_s=period_s)
     from handfast.deploy.drive.display.terminal_view import Terminal  # loads Rich
 

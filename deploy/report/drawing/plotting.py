@@ -25,7 +25,7 @@ from matplotlib.patches import Polygon as CornerPatch
 
 from handfast.agent.control.boundaries import Circle, Polygon
 from handfast.agent.formation.points import Floats
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 
 PALETTE: Final = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#4D4D4D",

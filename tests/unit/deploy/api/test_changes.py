@@ -14,7 +14,7 @@ from handfast.agent.common.errors import Error
 from handfast.agent.common.reader import Problem
 from handfast.agent.fleet.model import FleetError
 from handfast.deploy.api.changes import Classes, in_words_of_python, override
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.plant.backend import Reading
 
 

@@ -32,7 +32,7 @@ from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
 from handfast.deploy.drive.timing import Timing
 from handfast.deploy.faults.process_actions import Action
 from handfast.deploy.orders.operator import Operator
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.session.session import valid
 from tests.unit.deploy.orders.order_fleets import order
 

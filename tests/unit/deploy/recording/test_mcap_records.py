@@ -24,8 +24,9 @@ from handfast.agent.fleet.loading import to_dict
 from handfast.agent.messages.codec import encode
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.mcap_records import MAGIC
-from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recorder import Recorder
 from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report.run_folder import rebuild
 from tests.unit.deploy.recording.test_recording import rewritten
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle

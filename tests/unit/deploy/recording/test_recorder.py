@@ -39,8 +39,8 @@ from handfast.deploy.recording.foxglove.channels import Channels
 from handfast.deploy.recording.foxglove.schemas import SCHEMAS
 from handfast.deploy.recording.mcap_reader import read_mcap
 from handfast.deploy.recording.mcap_records import MAGIC
-from handfast.deploy.recording.recorder import FLUSH_PERIOD_NS, OUTCOME_METADATA, Recorder, RecordingError
-from handfast.deploy.recording.run_files import FLEET_FILE
+from handfast.deploy.recording.recorder import FLUSH_PERIOD_NS, OUTCOME_METADATA, Recorder
+from handfast.deploy.recording.run_files import FLEET_FILE, RecordingError
 from tests.declared_messages import messages_of
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,

@@ -42,8 +42,9 @@ from handfast.agent.recorder.message_json import to_json
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.recording.mcap_reader import read_mcap, read_run
 from handfast.deploy.recording.mcap_records import MAGIC
-from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recorder import Recorder
 from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.recording.tables import Table
 from handfast.deploy.report.export import tabulate
 from handfast.deploy.verdict.run_result import RunResult

@@ -12,11 +12,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from handfast.agent.common.errors import MissingPackageError
 from handfast.agent.common.exit import PASSED
 from handfast.agent.messages.codec import encode
 from handfast.deploy.cli import main
 from handfast.deploy.recording.mcap_reader import read_run
-from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recorder import Recorder
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report import export as export_module
 from handfast.deploy.report.export import export, tabulate
 from handfast.deploy.verdict.run_result import RunResult
@@ -130,7 +132,7 @@ def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytes
     with pytest.raises(RecordingError, match=rf"^cannot write the export to {run / 'file'}: File exists$"):
         export(run, "csv", run / "file")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(RecordingError, match="Parquet needs pyarrow, which is not installed"):
+    with pytest.raises(MissingPackageError, match=r"pyarrow: pip install 'handfast\[tables\]'$"):
         export(run, "parquet")
 
 

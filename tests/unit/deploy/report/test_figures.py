@@ -10,7 +10,7 @@ import pytest
 
 from handfast.agent.messages import key_expressions
 from handfast.deploy.recording.collector import RunData
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report import figures, report
 from handfast.deploy.report.drawing.plotting import new_figure
 from handfast.deploy.report.figures import remove_figures, write_figures

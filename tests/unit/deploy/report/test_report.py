@@ -27,8 +27,9 @@ from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Beacon, Mission, Silent, Status
 from handfast.deploy.analysis.analysis import analyse
 from handfast.deploy.recording.collector import RunData
-from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recorder import Recorder
 from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report import figures, trajectory_figure
 from handfast.deploy.report.report import write_report
 from handfast.deploy.report.run_folder import rebuild, write_result

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from handfast.agent.messages.codec import encode
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recorder import Recorder
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report import figures, report
 from handfast.deploy.report.run_folder import NotDrawn, RunFolder, rebuild
 from handfast.deploy.verdict import metrics

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report.whole_file import whole_file, whole_files
 
 

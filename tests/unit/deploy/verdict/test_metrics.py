@@ -11,7 +11,7 @@ import pytest
 
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Message, Mission, PlantState, Status
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.verdict.metrics import write
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import NAME, PAIR, body, driven, judged, recorded, status, with_statuses

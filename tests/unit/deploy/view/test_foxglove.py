@@ -184,7 +184,7 @@ def test_a_taken_port_and_another_address_are_refused_in_one_line() -> None:
 
 def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(MissingPackageError, match=r"foxglove.*pip install 'handfast\[operator\]'"):
+    with pytest.raises(MissingPackageError, match=r"foxglove: pip install 'handfast\[foxglove\]'"):
         FoxgloveServer(FLEET, 0)
 
 

@@ -15,7 +15,7 @@ from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.inventory import registry
 from handfast.deploy.inventory.registry import Registration
 from tests.unit.agent.fleet.test_hosts import fleet
-from tests.unit.deploy.test_cli import without_the_operators_packages
+from tests.unit.deploy.test_cli import OPERATORS, without
 
 PID = os.getpid()
 
@@ -125,5 +125,5 @@ def test_what_is_damaged_is_said(tmp_path: Path, private: Path, capsys: pytest.C
 
 def test_it_needs_none_of_the_operators_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    ran = without_the_operators_packages("status")
+    ran = without(OPERATORS, "status")
     assert (ran.returncode, ran.stdout) == (0, "no fleet runs here, and none is up on hosts\n"), ran.stderr

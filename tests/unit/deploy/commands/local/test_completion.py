@@ -140,8 +140,7 @@ def test_without_shtab(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 2
     assert capsys.readouterr().err == (
-        "handfast: handfast completion needs the package shtab: install the operator's extra, "
-        "pip install 'handfast[operator]'\n"
+        "handfast: handfast completion needs the package shtab: pip install 'handfast[operator]'\n"
     )
 
 

@@ -21,7 +21,7 @@ from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from handfast.deploy.inventory.operator_credentials import KEYS
 from handfast.deploy.processes.placement import Reservation
 from handfast.deploy.recording.mcap_reader import read_run
-from handfast.deploy.recording.recorder import RecordingError
+from handfast.deploy.recording.run_files import RecordingError
 from tests.process.fleet_harness import BASE_PORT
 from tests.trusted import authority, credentials
 

@@ -18,7 +18,8 @@ from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Mission, PlantState
 from handfast.deploy import cli
 from handfast.deploy.recording.mcap_reader import read_run
-from handfast.deploy.recording.recorder import Recorder, RecordingError
+from handfast.deploy.recording.recorder import Recorder
+from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report.export import export
 from handfast.deploy.report.ros import rosbag2
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
@@ -223,7 +224,7 @@ def test_without_rosbags_it_says_what_to_install(run: Path, monkeypatch: pytest.
         monkeypatch.delattr(f"handfast.deploy.report.ros.{name}")
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)
-    expected = r"^--format rosbag2 needs the package rosbags\S*: .* pip install 'handfast\[operator\]'$"
+    expected = r"^--format rosbag2 needs the package rosbags\S*: pip install 'handfast\[ros2\]'$"
     with pytest.raises(MissingPackageError, match=expected):
         export(run, "rosbag2")
     assert not (run / "export").exists()
