@@ -29,7 +29,6 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
 from handfast.deploy.console.wording import some
 from handfast.deploy.inventory.hosts import robots_on
-from handfast.deploy.inventory.own_orders import state_folder
 
 _PREFIX: Final = "run-"
 _SUFFIX: Final = ".json"
@@ -315,6 +314,8 @@ def note_down(fleet: Fleet, names: Collection[str]) -> None:
 
 
 def _folder() -> Path:
+    from handfast.deploy.inventory.own_orders import state_folder  # here: it loads msgpack
+
     return state_folder("fleets")
 
 
