@@ -164,9 +164,8 @@ class LinkWatch:
         before, self._links = self._links, {}
         unsure, self._unsure = self._unsure, {}
         if now_ns - self._looked_ns > self.period_ns + PAUSED_NS:
-            for link in before.values():
-                if link is not None:
-                    link.begin(now_ns)
+            for paused in filter(None, before.values()):
+                paused.begin(now_ns)
         self._looked_ns = now_ns
         deaf: list[tuple[TcpSocket, _Link]] = []
         opening: list[tuple[TcpSocket, _Link]] = []
@@ -188,31 +187,34 @@ class LinkWatch:
                     link.since_ns = 0
                     calm.append(each)
                     continue
-                is_deaf = self._is_deaf(each, link, waiting, now_ns)
-                # Something waits to be read on every link at times: what has been read since is no matter.
-                stalls = link.is_open and link.since_ns != now_ns
-                waits = waits or stalls or not link.is_open
-                stalled += stalls
-                if link.is_open and not stalls:
-                    calm.append(each)
-                if is_deaf:
+                if self._is_deaf(each, link, waiting, now_ns):
                     deaf.append((each, link))
                 elif not link.is_open:
                     opening.append((each, link))
+                # Something waits to be read on every link at times: what has been read since is no matter.
+                if link.is_open and link.since_ns == now_ns:
+                    calm.append(each)
+                else:
+                    waits = True
+                    stalled += link.is_open
         if opening:
             self._look_at_opening(opening, now_ns)
-        waits = waits or bool(self._unsure)
-        if self._one_of and not waits:
-            waits = all(link is None or link.endpoint not in self._one_of for link in self._links.values())
-        self.period_ns = SOON_NS if waits else PERIOD_NS
-        is_calm = not waits and len(calm) == sum(link is not None for link in self._links.values())
-        self.calm = calm if is_calm else None
+        self._plan(calm, waits=waits or bool(self._unsure))
         if stalled > max(STALLED_MAX, len(found) // STALLED_PART):
             return []  # nothing is wrong with so many: what reads them all has no time
         for each, _ in deaf:
             with suppress(OSError):
                 _shut(each)
         return [link.endpoint for _, link in deaf]
+
+    def _plan(self, calm: list[TcpSocket], *, waits: bool) -> None:
+        """Decide when to look again: soon while a link `waits` for something, or the one that there should be
+        lacks."""
+        links = [link for link in self._links.values() if link is not None]
+        if self._one_of and not waits:
+            waits = all(link.endpoint not in self._one_of for link in links)
+        self.period_ns = SOON_NS if waits else PERIOD_NS
+        self.calm = calm if not waits and len(calm) == len(links) else None
 
     def still_calm(self, now_ns: int) -> None:
         """Takes that nothing has changed since a look that found it `calm`."""

@@ -165,16 +165,20 @@ class HostsPreflight:
                 self._jobs = stack.enter_context(self._ask(silent))
                 self._asked_s = now
             hosts_told = self._jobs is None or self._hosts_told(silent, now)
-            if session is None and hosts_told:
-                return
-            told = {robot for robot in silent if robot in self._told and robot not in self._starting}
-            unheard = [robot for robot in silent if robot not in told]
-            if hosts_told and not unheard and session and self._checks.complete(session.now_ns(), told):
-                return
-            booting = not unheard and self._checks.booting(told)
-            if hosts_told and now - begun > (BOOT_TIMEOUT_S if booting else TIMEOUT_S):
+            if hosts_told and self._is_over(session, silent, now - begun):
                 return
             time.sleep(POLL_S)
+
+    def _is_over(self, session: _Ear | None, silent: Collection[int], listened_s: float) -> bool:
+        """Return True if nothing more is to come, once the hosts have answered, or it takes too long."""
+        if session is None:
+            return True
+        told = {robot for robot in silent if robot in self._told and robot not in self._starting}
+        if len(told) < len(silent):
+            return listened_s > TIMEOUT_S
+        if self._checks.complete(session.now_ns(), told):
+            return True
+        return listened_s > (BOOT_TIMEOUT_S if self._checks.booting(told) else TIMEOUT_S)
 
     def _hosts_told(self, silent: Collection[int], now: float) -> bool:
         """Whether the hosts have said all that they were asked, or are not waited for any more."""

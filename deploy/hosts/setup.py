@@ -161,9 +161,9 @@ def prepare(
     Raises:
         HostError: it cannot be made ready; the text says why.
     """
-    host, about = connection.host, connection.about
+    about = connection.about
     say("checking")
-    _refuse(host, about)
+    _refuse(connection.host, about)
     clock = connection.clock()
     warnings = list(_clock_warnings(fleet, clock))
     if robots:
@@ -176,7 +176,6 @@ def prepare(
         raise HostError(str(error)) from None
     if not connection.ask("installed", version=bundle.version):
         install(connection, bundle, say)
-    name = fleet.fleet.name
     file = systemd_units.fleet_file(fleet, text)
     places = systemd_units.places(fleet, about["root"], bundle.version, text)
     before_changes()
@@ -187,29 +186,37 @@ def prepare(
     if places.keys is not None and keys is not None:
         say("certificates")
         keys(connection, bundle.version, places.keys, robots=robots)
-    router = systemd_units.router_units(fleet, host, places)
-    texts = {
-        robot: systemd_units.units(fleet, robot, places)
-        for robot in (robots_on(fleet, host) if robots else ())
-    }
     say("comparing")
+    prepared = _compared(connection, fleet, places, bundle.version, robots=robots)
+    return prepared._replace(warnings=(*warnings, *prepared.warnings))
+
+
+def _compared(
+    connection: HostConnection,
+    fleet: Fleet,
+    places: systemd_units.Places,
+    version: str,
+    *,
+    robots: bool,
+) -> Prepared:
+    """Compare the units of a host with those that it should have. Files are written only of those that run as
+    they should: what a crash would start is the same."""
+    host, about = connection.host, connection.about
+    router = systemd_units.router_units(fleet, host, places)
+    ids = robots_on(fleet, host) if robots else ()
+    texts = {robot: systemd_units.units(fleet, robot, places) for robot in ids}
     wanted = {unit: text for of_robot in texts.values() for unit, text in of_robot.items()} | router
-    found = connection.ask("compare", fleet=name, wanted=wanted)
-    stale = {
-        robot: tuple(unit for unit in of_robot if unit in found["stale"])
-        for robot, of_robot in texts.items()
-        if not of_robot.keys().isdisjoint(found["stale"])
-    }
+    found = connection.ask("compare", fleet=fleet.fleet.name, wanted=wanted)
+    every = {robot: tuple(unit for unit in texts[robot] if unit in found["stale"]) for robot in ids}
+    stale = {robot: units for robot, units in every.items() if units}
     stale_router = tuple(unit for unit in router if unit in found["stale"])
-    # Files of those that run as they should: what a crash would start is the same.
-    fine = {
-        unit: text
-        for robot, of_robot in texts.items()
-        if robot not in stale
-        for unit, text in of_robot.items()
-    } | (router if not stale_router else {})
+    fine = {} if stale_router else dict(router)
+    for robot in ids:
+        if robot not in stale:
+            fine |= texts[robot]
     if not fine.keys().isdisjoint(found["unwritten"]):
         connection.ask("units", wanted=fine)
+    warnings = []
     if found["open"]:
         warnings.append(
             "its units' processes see and write whatever its user can, as users have no namespaces there (on "
@@ -220,15 +227,8 @@ def prepare(
             f"{about['user']} may not read its journal, `handfast logs` shows nothing of it: "
             f"sudo usermod -aG systemd-journal {about['user']}"
         )
-    return Prepared(
-        bundle.version,
-        texts,
-        stale,
-        router,
-        stale_router,
-        tuple(found["unwanted"]) if robots else (),
-        tuple(warnings),
-    )
+    unwanted = tuple(found["unwanted"]) if robots else ()
+    return Prepared(version, texts, stale, router, stale_router, unwanted, tuple(warnings))
 
 
 def _refuse(host: HostSection, about: Mapping[str, Any]) -> None:

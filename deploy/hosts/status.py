@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -182,45 +182,69 @@ def _row(unit: str, host: HostStatus) -> dict[str, Any]:
     }
 
 
+_COLUMNS: Final[tuple[tuple[str, Literal["left", "right"]], ...]] = (
+    ("robot", "right"),
+    ("host", "left"),
+    ("process", "left"),
+    ("unit", "left"),
+    ("restarts", "right"),
+    ("up", "right"),
+    ("CPU %", "right"),
+    ("MB", "right"),
+    ("state", "left"),
+    ("oldest ms", "right"),
+)
+"""Headings of the table, and how their columns are aligned."""
+
+
 def print_table(
     rows: Sequence[Mapping[str, Any]],
     found: Mapping[str, HostStatus],
     *,
     each: bool = False,
 ) -> None:
-    """Prints the table, and a line for each host.
+    """Print the table, a line for each host, and the versions that robots run.
 
     Args:
         each: also where there are many robots; else of these only those are shown where something is wrong,
             and the rest is summed up.
     """
-    versions: dict[str, set[int]] = {}
-    for row in rows:
-        if (
-            row["version"] and row["robot"] is not None
-        ):  # its last part is of the wheels, which are others for another processor
-            versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
+    versions = _versions(rows)
     sums: list[str] = []
     if not each and len(_robots(rows)) > FEW:
-        rows, found, sums = _wrong(rows, found)
+        sums = _sums(rows, found)
+        rows, found = _wrong(rows, found)
     # A pipe has no width of its own: there each process is one line, however long.
     width = None if sys.stdout.isatty() else PIPE_WIDTH
     console = Console(highlight=False, soft_wrap=True, width=width)
+    if rows:
+        console.print(_table(rows))
+    for name, host in found.items():
+        _print_host(console, name, host)
+    if len(versions) > 1:
+        who = "; ".join(f"{name}: {robots(sorted(ids))}" for name, ids in sorted(versions.items()))
+        console.print(
+            f"not all robots run the same ({who}): `handfast up` again", style="bold red", markup=False
+        )
+    elif versions:
+        sums = [f"version {next(iter(versions))}", *sums]
+    for line in sums:
+        console.print(line, markup=False)
+
+
+def _versions(rows: Sequence[Mapping[str, Any]]) -> dict[str, set[int]]:
+    """Return the robots that run each version, without its last part, which differs between processors."""
+    versions: dict[str, set[int]] = {}
+    for row in rows:
+        if row["version"] and row["robot"] is not None:
+            versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
+    return versions
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> Table:
     table = Table(pad_edge=False, box=None)
-    for heading in (
-        "robot",
-        "host",
-        "process",
-        "unit",
-        "restarts",
-        "up",
-        "CPU %",
-        "MB",
-        "state",
-        "oldest ms",
-    ):
-        right = heading in ("robot", "restarts", "up", "CPU %", "MB", "oldest ms")
-        table.add_column(heading, justify="right" if right else "left", no_wrap=True)
+    for heading, side in _COLUMNS:
+        table.add_column(heading, justify=side, no_wrap=True)
     table.add_column("why")
     for row in rows:
         state = row["state"] or (QUIET if row["role"] != "agent" else "silent")
@@ -239,28 +263,19 @@ def print_table(
             _shown(row["oldest_ms"], ".0f"),
             Text(printable(why)),  # anybody's words
         )
-    if rows:
-        console.print(table)
-    for name, host in found.items():
-        if host.error:
-            console.print(f"{name}: {host.error}", style="bold red", markup=False)
-        elif host.clock is not None:
-            offset_ms, error_ms = host.clock.offset_s * 1e3, host.clock.error_s * 1e3
-            way = "ahead" if offset_ms > 0 else "behind"
-            console.print(
-                f"{name}: clock {abs(offset_ms):.1f} ms {way} (within {error_ms:.1f} ms), "
-                f"load {host.load:.1f}",
-                markup=False,
-            )
-    if len(versions) > 1:
-        who = "; ".join(f"{name}: {robots(sorted(ids))}" for name, ids in sorted(versions.items()))
+    return table
+
+
+def _print_host(console: Console, name: str, host: HostStatus) -> None:
+    if host.error:
+        console.print(f"{name}: {host.error}", style="bold red", markup=False)
+    elif host.clock is not None:
+        offset_ms, error_ms = host.clock.offset_s * 1e3, host.clock.error_s * 1e3
+        way = "ahead" if offset_ms > 0 else "behind"
         console.print(
-            f"not all robots run the same ({who}): `handfast up` again", style="bold red", markup=False
+            f"{name}: clock {abs(offset_ms):.1f} ms {way} (within {error_ms:.1f} ms), load {host.load:.1f}",
+            markup=False,
         )
-    for version in versions if len(versions) == 1 else ():
-        console.print(f"version {version}", markup=False)
-    for line in sums:
-        console.print(line, markup=False)
 
 
 def _robots(rows: Sequence[Mapping[str, Any]]) -> set[int]:
@@ -269,16 +284,22 @@ def _robots(rows: Sequence[Mapping[str, Any]]) -> set[int]:
 
 def _wrong(
     rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus]
-) -> tuple[list[Mapping[str, Any]], dict[str, HostStatus], list[str]]:
-    """Those rows and hosts where something is wrong, and sums of all of them, a line each."""
+) -> tuple[list[Mapping[str, Any]], dict[str, HostStatus]]:
+    """Return the rows and hosts where something is wrong."""
     is_heard = any(row["state"] for row in rows)
-    wrong_hosts = {name: host for name, host in found.items() if host.error or _is_off(host.clock)}
+    hosts = {name: host for name, host in found.items() if host.error or _is_off(host.clock)}
     wrong = [
         row
         for row in rows
-        if (row["unit"] != "active" and row["host"] not in wrong_hosts)
+        if (row["unit"] != "active" and row["host"] not in hosts)
         or (row["role"] == "agent" and is_heard and row["state"] not in WELL)
     ]
+    return wrong, hosts
+
+
+def _sums(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus]) -> list[str]:
+    """Return lines that sum up all processes, agents and hosts."""
+    is_heard = any(row["state"] for row in rows)
     units = Counter(printable(row["unit"]) for row in rows)
     states = Counter(printable(row["state"] or "silent") for row in rows if row["role"] == "agent")
     lines = [
@@ -292,7 +313,7 @@ def _wrong(
         lines.append(
             f"{len(clocks)} of {len(found)} hosts: clocks up to {off_ms:.1f} ms off, load up to {load:.1f}"
         )
-    return wrong, wrong_hosts, lines
+    return lines
 
 
 def _is_off(clock: Clock | None) -> bool:

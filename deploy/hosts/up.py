@@ -203,27 +203,26 @@ class BringUp:
             if not hosts:
                 on = [router.host for router in self.fleet.routers if router.host is not None]
                 raise BusError(f"{error}{f'; bring up {some(on)}, too' if on else ''}") from None
+        self._bring_routers(hosts, view, interrupt)
+        deadline = time.monotonic() + self._timing.present_s
+        while not interrupt.count:
+            try:
+                return Arrivals(self.fleet)
+            except BusError:
+                if time.monotonic() > deadline:
+                    raise
+        return None
+
+    def _bring_routers(self, hosts: Sequence[HostSection], view: HostsView, interrupt: Interrupt) -> None:
+        """Bring up the routers on these hosts; raise `BusError` where all of them fail."""
         # Which authority the robots of any host have counts before this one's has given the first.
         first = self._hosts if self._keys is not None and self._keys.is_first else hosts
         with self._work_on(first, self._bring_router) as self._jobs_first:
             self._jobs_first.wait(view, interrupt)
             view.show(list(self._jobs_first.rows.values()))
-        if interrupt.count:
-            return None
         rows = [self._jobs_first.rows[host.name] for host in hosts]
-        if all(row.state == FAILED for row in rows):
+        if not interrupt.count and all(row.state == FAILED for row in rows):
             raise BusError("; ".join(f"{row.host}: {row.step}" for row in rows))
-        deadline = time.monotonic() + self._timing.present_s
-
-        def gives_up() -> bool:
-            return interrupt.count > 0 or time.monotonic() > deadline
-
-        while True:
-            try:
-                return Arrivals(self.fleet)
-            except BusError:
-                if gives_up():
-                    raise
 
     def _say_stop(self) -> None:
         """Says the stop in force to those who do not know of it; when robots start, one that ends whatever
@@ -415,9 +414,10 @@ class BringUp:
             problems.append(f"{robots_words(left)} left as before: {self._halted or 'interrupted'}")
         if problems:
             raise HostError("; ".join(problems))
-        started = [robots_words(starts)] if starts else []
-        started += ["its router"] if prepared.stale_router else []
-        return f"{' and '.join(started)} started" if started else "nothing to do"
+        started = " and ".join(
+            [robots_words(starts)] * bool(starts) + ["its router"] * bool(prepared.stale_router)
+        )
+        return f"{started} started" if started else "nothing to do"
 
     def _renew_router(self, row: Row, connection: HostConnection, prepared: Prepared) -> list[str]:
         """Has the router of a host run as it should; says what is wrong then. While the fleet drives, one at

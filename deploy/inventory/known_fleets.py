@@ -200,6 +200,11 @@ def meant(what: str) -> list[KnownFleet]:
     if path.suffix == ".toml" or len(path.parts) > 1:
         lacks = "it is neither a file nor a folder" if path.exists() else "there is no such file"
         raise NotRunningError(f"{show(what)[1:-1]}: {lacks}{_those()}")
+    return _of_name(what)
+
+
+def _of_name(what: str) -> list[KnownFleet]:
+    """The fleets of a name, or with a run of this number; the bundled one where none of them runs."""
     found = known(what)
     if not found and what.isdecimal():
         found = _with_run(lambda run: str(run.pid) == what)
@@ -244,13 +249,12 @@ def _of_file(path: Path) -> list[KnownFleet]:
     if not itself.on_hosts:
         return [each for each in same if not each.on_hosts] or [itself]
     endpoints = _located_endpoints(itself.fleet)
-    found = [
-        each
-        for each in same
-        if (each.on_hosts and endpoints & each.endpoints)
-        or any(run.source and Path(run.source).resolve() == path.resolve() for run in each.runs)
-    ]
-    return found or [itself]
+
+    def is_it(each: KnownFleet) -> bool:
+        started = any(run.source and Path(run.source).resolve() == path.resolve() for run in each.runs)
+        return started or (each.on_hosts and bool(endpoints & each.endpoints))
+
+    return list(filter(is_it, same)) or [itself]
 
 
 def _from(path: Path) -> list[KnownFleet]:
