@@ -89,7 +89,7 @@ def test_what_need_not_work_can_be_taken_out_and_the_rest_stays() -> None:
 
 
 def test_only_who_asks_for_real_time_may_have_it() -> None:
-    """And its recorder and proxy have no use for it."""
+    """Its recorder has no use for it."""
     asking = replace(fleet(), process=ProcessSection(realtime=True))
     for robot in (SIMULATED, BRIDGED):
         for role in roles(asking):
