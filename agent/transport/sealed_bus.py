@@ -16,9 +16,8 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.security.credentials import Credentials, load, load_whenever
 from handfast.agent.security.identity import Identity, Security
-from handfast.agent.security.order_gate import OrderGate
 from handfast.agent.security.refusals import FILTER
-from handfast.agent.security.sealed_order import Opener, Sealer
+from handfast.agent.security.sealed_order import Opener, OrderGate, Sealer
 from handfast.agent.transport.batches import Batches
 from handfast.agent.transport.bus import LINK_TIMEOUT_S, Bus, init_log
 from handfast.agent.transport.zenoh_log import ZenohLog

@@ -22,7 +22,7 @@ from handfast.deploy.cluster.campaign import Resources
 from handfast.deploy.cluster.program import identity
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.progress import make_progress
-from handfast.deploy.hosts.plugin_files import plugins_of
+from handfast.deploy.hosts.bundle import plugins_of
 from handfast.deploy.simulate.worker_pool import Work
 from handfast.deploy.sweep.plan import Plan, Question, check_cells, make_plan
 from handfast.deploy.sweep.run import PASSED, Row, Runs

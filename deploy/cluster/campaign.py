@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 from handfast.agent.common.errors import packages_named
 from handfast.agent.common.wording import printable
 from handfast.deploy.cluster.program import ClusterError, SameProgram
-from handfast.deploy.hosts.plugin_files import files_of_plugins
+from handfast.deploy.hosts.bundle import files_of_plugins
 from handfast.deploy.simulate import worker_pool
 from handfast.deploy.simulate.worker_pool import Engine, Work
 

@@ -15,7 +15,7 @@ from handfast.agent.common.errors import Error
 from handfast.agent.runtime.version import handfast_version
 from handfast.deploy.console.data_files import ROOT
 from handfast.deploy.console.sources import sources_digest
-from handfast.deploy.hosts.plugin_files import files_of_plugins
+from handfast.deploy.hosts.bundle import files_of_plugins
 from handfast.deploy.simulate.worker_pool import GoOn, Refused, Work
 
 LIBRARIES: Final = ("numpy", "msgpack", "pymap3d", "pymavlink", "cryptography")

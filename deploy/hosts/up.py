@@ -29,7 +29,7 @@ from handfast.deploy.console.wording import some
 from handfast.deploy.drive.preconditions import clock, older_mission, why
 from handfast.deploy.hosts import preflight, systemd_units
 from handfast.deploy.hosts.arrivals import Arrivals
-from handfast.deploy.hosts.bundle import program_archive
+from handfast.deploy.hosts.bundle import plugin_modules, program_archive
 from handfast.deploy.hosts.certificates import AnotherAuthorityError, HostKeys
 from handfast.deploy.hosts.connection import HostConnection, HostError
 from handfast.deploy.hosts.jobs import (
@@ -43,7 +43,6 @@ from handfast.deploy.hosts.jobs import (
     Row,
     Work,
 )
-from handfast.deploy.hosts.plugin_files import plugin_modules
 from handfast.deploy.hosts.remote_program import STOP_TEXT_MAX
 from handfast.deploy.hosts.setup import Prepared, prepare, start_router
 from handfast.deploy.inventory.hosts import robots_on, robots_text

@@ -100,7 +100,7 @@ def sweep(options: argparse.Namespace) -> int:
     from handfast.deploy.cluster.campaign import Resources
     from handfast.deploy.cluster.program import program_digest
     from handfast.deploy.console.interrupt import NOT_STARTED, Interrupt
-    from handfast.deploy.hosts.plugin_files import plugins_of
+    from handfast.deploy.hosts.bundle import plugins_of
     from handfast.deploy.inventory.own_orders import out_folder
     from handfast.deploy.simulate.worker_pool import EngineLost
     from handfast.deploy.sweep.folder import SweepFolder, read_digest
@@ -251,7 +251,7 @@ def _drive(
     """Drive the missing runs until all are done or Ctrl-C is pressed."""
     from handfast.deploy.cluster.program import identity
     from handfast.deploy.console.progress import make_progress
-    from handfast.deploy.hosts.plugin_files import plugins_of
+    from handfast.deploy.hosts.bundle import plugins_of
     from handfast.deploy.sweep.run import Runs
 
     missing, plan = folder.missing, folder.plan

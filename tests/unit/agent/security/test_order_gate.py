@@ -10,8 +10,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode, head
 from handfast.agent.messages.types import MISSION_BYTES_MAX, Ask, Faults, Heartbeat, Mission, Resume, Stop
 from handfast.agent.security.identity import of_operator
-from handfast.agent.security.order_gate import AGE_NS_MAX, SEALS_BYTES_MAX, OrderGate
-from handfast.agent.security.sealed_order import Opener, Sealer
+from handfast.agent.security.sealed_order import AGE_NS_MAX, SEALS_BYTES_MAX, Opener, OrderGate, Sealer
 from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 TIME_NS = NOW_NS = int(NOW_S * 1e9)

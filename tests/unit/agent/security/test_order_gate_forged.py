@@ -11,8 +11,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Stop
 from handfast.agent.security.identity import of_operator
-from handfast.agent.security.order_gate import NEW_MAX, NEW_PERIOD_NS, OrderGate
-from handfast.agent.security.sealed_order import Opener, Order, Sealer
+from handfast.agent.security.sealed_order import NEW_MAX, NEW_PERIOD_NS, Opener, Order, OrderGate, Sealer
 from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 NOW_NS = int(NOW_S * 1e9)

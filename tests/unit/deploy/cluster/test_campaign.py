@@ -20,7 +20,7 @@ from handfast.deploy.cluster.program import (
 )
 from handfast.deploy.console.data_files import FLEETS, ROOT
 from handfast.deploy.console.sources import sources_digest
-from handfast.deploy.hosts.plugin_files import plugins_of
+from handfast.deploy.hosts.bundle import plugins_of
 from handfast.deploy.simulate.worker_pool import Pool, Refused
 from tests.passing_law import PassingLaw
 
