@@ -54,7 +54,7 @@ JUMP_SHARE: Final = 0.01
 
 
 class Measurement:
-    """The sensors of one robot: measured = pose + bias + noise, and now and then a jump or nothing.
+    """The sensors of one robot: measured = pose + bias + noise, and now and then a jump.
 
     Noise is normal. That of the body and that of a fault are independent: their variances add. Each draw is a
     function of the seed, the robot, the quantity and the sequence number of the plant's state.

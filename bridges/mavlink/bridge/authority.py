@@ -89,6 +89,11 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
 )
 
 
+def _row(holder: Holder, situation: Situation) -> Transition | None:
+    """The first row of the table that applies."""
+    return next((row for row in TRANSITIONS if holder in row.sources and row.applies(situation)), None)
+
+
 def _given_back(operator: str) -> str:
     """What is said of a vehicle that was taken because of `operator`, and is GUIDED and armed again."""
     return f"its operator has given it back (it was: {operator})"
@@ -127,7 +132,7 @@ class Authority:
             return None  # what did not change the holder then does not now
         self._situation = situation
         before = self.holder
-        row = next((row for row in TRANSITIONS if before in row.sources and row.applies(situation)), None)
+        row = _row(before, situation)
         if row is not None:
             self.holder = row.target
         if self.holder is Holder.RELEASED and before is not Holder.RELEASED:

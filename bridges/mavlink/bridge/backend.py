@@ -191,6 +191,12 @@ class MavlinkPlant(PlantBackend):
             self._known = self._located = False
             self._takeover.begin_again()
             self._prearm = ""
+        self._follow_motion()
+        self._hear_texts()
+
+    def _follow_motion(self) -> None:
+        """Takes where the vehicle says it was."""
+        link = self._link
         for attitude in link.take_attitudes():
             self._yaw = attitude.yaw
             self._estimate.attitude(
@@ -205,6 +211,10 @@ class MavlinkPlant(PlantBackend):
                 x, y = self._to_world(position.north, position.east)
                 speed = frames.forward_speed(self._yaw, position.v_north, position.v_east)
                 self._estimate.position(position.valid_ns, x, y, speed)
+
+    def _hear_texts(self) -> None:
+        """Takes the vehicle's texts, and what it says of its fence."""
+        link = self._link
         if link.fence_breached and not self._breached:
             self._failsafe.hear(self._now_ns or 0, BREACHED)
         self._breached = link.fence_breached

@@ -88,14 +88,10 @@ def of_position_target(message: PositionTarget, pose: Pose, speed_max: float) ->
     velocity = not mask & constants.IGNORE_VELOCITY
     has_yaw = not mask & constants.IGNORE_YAW
     has_rate = not mask & constants.IGNORE_YAW_RATE
-    if position:
-        _used(x, y)
-    if velocity:
-        _used(vx, vy)
-    if has_yaw:
-        _used(yaw)
-    if has_rate:
-        _used(yaw_rate)
+    used = (position, (x, y)), (velocity, (vx, vy)), (has_yaw, (yaw,)), (has_rate, (yaw_rate,))
+    for is_used, values in used:
+        if is_used:
+            _used(*values)
     if not mask & constants.IGNORE_ACCELERATION:
         return None
     if position:

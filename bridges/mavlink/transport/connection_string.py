@@ -66,6 +66,12 @@ def parse_connection(text: str) -> Connection:
         kind = "udpin"
     if not colon or kind not in get_args(Kind) or kind == "serial":
         raise ValueError(f"{text!r} is not a connection; write {FORMS}")
+    host, port = _address(text, kind, place)
+    return Connection(kind, host, port)  # type: ignore[arg-type]  # one of Kind: looked up above
+
+
+def _address(text: str, kind: str, place: str) -> tuple[str, int]:
+    """Return host and port of the connection string `text`, whose HOST:PORT is `place`."""
     host, colon, digits = place.rpartition(":")
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
@@ -77,4 +83,4 @@ def parse_connection(text: str) -> Connection:
         )
     if not (digits.isascii() and digits.isdigit() and 1 <= int(digits) <= _PORT_MAX):
         raise ValueError(f"{text!r}: the port must be a whole number from 1 to {_PORT_MAX}, not {digits!r}")
-    return Connection(kind, host, int(digits))  # type: ignore[arg-type]  # one of Kind: looked up above
+    return host, int(digits)
