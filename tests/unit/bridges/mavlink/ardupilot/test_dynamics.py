@@ -1,8 +1,7 @@
 """The modelled rover against the step responses measured on the autopilot (shared facts, ArduRover).
 
 Times were read to 10 ms from samples 20 ms apart, speeds and yaw rates to three digits of one run each:
-`TIME` and the relative tolerances below are those reading errors.
-"""
+`TIME` and the relative tolerances below are those reading errors."""
 
 from __future__ import annotations
 
