@@ -13,7 +13,7 @@ from typing import Final
 
 from handfast.agent.common.errors import Error
 from handfast.agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
-from handfast.agent.control import pace
+from handfast.agent.control import limits
 from handfast.agent.control.controller import Controller, Drive
 from handfast.agent.control.event_trigger import EventTrigger
 from handfast.agent.control.hand import Hand
@@ -43,9 +43,8 @@ from handfast.agent.messages.types import (
 from handfast.agent.messages.validation import Malformed
 from handfast.agent.messages.versions import can_be
 from handfast.agent.supervision.deafness import Deafness
-from handfast.agent.supervision.lasting_orders import LastingOrders
 from handfast.agent.supervision.neighbour_trust import NeighbourTrust
-from handfast.agent.supervision.order_relay import OrderRelay
+from handfast.agent.supervision.orders import LastingOrders, OrderRelay
 from handfast.agent.supervision.outbox import Outbox
 from handfast.agent.supervision.overload import Overload
 from handfast.agent.supervision.situation import Situation
@@ -87,13 +86,13 @@ class Agent:
         self._missions = MissionChoice(fleet, geometry)
         self._controller = Controller(fleet, geometry, robot)
         self._peers = self._controller.peers
-        self._rest_period_ns = pace.rest_period_ns(fleet)
+        self._rest_period_ns = limits.rest_period_ns(fleet)
         self._rests = False
         self._overload = Overload(
-            pace.steps(fleet), fleet.period_ns, pace.gap_ns(fleet), pace.standing_period_ns(fleet)
+            limits.steps(fleet), fleet.period_ns, limits.gap_ns(fleet), limits.standing_period_ns(fleet)
         )
         self._stood_until_ns = 0
-        self._speed_share = partial(pace.speed_share, fleet)
+        self._speed_share = partial(limits.speed_share, fleet)
         self._peers.missed_ns = self._overload.missed_ns
         self._trust = NeighbourTrust(fleet, self._controller, self._overload)
         self._situation = Situation(fleet, robot, self._controller, self._trust, self._overload)
@@ -398,7 +397,7 @@ class Agent:
             self._controller.keep_pace(period_ns, self._speed_share(overload.level))
             self._trust.period_s = period_ns / NS_PER_S
             peers.keep_pace(period_ns)
-            self._outbox.keep_pace(period_ns, pace.STANDING_PROMISE_NS * overload.stands)
+            self._outbox.keep_pace(period_ns, limits.STANDING_PROMISE_NS * overload.stands)
         self._outbox.overload, self._outbox.others_overload = overload.wanted, overload.others
 
     def _tell_how_long_it_stood(self, now_ns: int) -> None:

@@ -43,9 +43,8 @@ from handfast.agent.messages.types import (
     clipped,
 )
 from handfast.agent.messages.versions import can_be
-from handfast.agent.supervision.lasting_orders import LastingOrders
+from handfast.agent.supervision.orders import LastingOrders, StopLatch
 from handfast.agent.supervision.state_machine import at_rest
-from handfast.agent.supervision.stop_latch import StopLatch
 from handfast.plant.backend import COAST, Check, Command, PlantBackend, Reading
 
 _NONE: Final = SensorFaults()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from handfast.agent.control.peers.clock_offset import ClockOffset
+from handfast.agent.control.peers.lateness import ClockOffset
 
 PERIOD = 20_000_000
 MS = 1_000_000

@@ -13,11 +13,12 @@ from typing import Final
 
 from handfast.agent.common.quantities import DISTANCE_MIN, Vector
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.control import dodging, hand, law, safety_filter
+from handfast.agent.control import hand, law, safety_filter
 from handfast.agent.control.caution import TURNED
 from handfast.agent.control.couplings import Constraint
 from handfast.agent.control.detour import LEAVING, SPEED_MIN, Blocker
-from handfast.agent.control.gains import gains_of, one_sided
+from handfast.agent.control.limits import acceleration_max, barrier_rate, gains_of, one_sided, speed_max
+from handfast.agent.control.peers import rolling
 from handfast.agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
 from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.peers.peer import Peer
@@ -26,7 +27,6 @@ from handfast.agent.control.peers.prediction import Prediction, coasting
 from handfast.agent.control.peers.rolling import ROLL_ERROR
 from handfast.agent.control.proximity import Proximity
 from handfast.agent.control.right_of_way import RightOfWay
-from handfast.agent.control.safety_distances import acceleration_max, barrier_rate, speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.reference import Edge
 from handfast.agent.messages.types import HandState
@@ -83,11 +83,11 @@ class ConstraintAssembly:
         self._safe_distance, self._margin = fleet.formation.safe_distance_m, fleet.avoidance.margin_m
         self._barrier_rate, self._acceleration_max = barrier_rate(fleet), acceleration_max(fleet)
         body = fleet.robot(robot)
-        turns = min(body.yaw_rate_max, dodging.TURN_MAX)
-        self._ability = dodging.Ability(self._acceleration_max, speed_max(fleet), turns, body.hand_offset_m)
+        turns = min(body.yaw_rate_max, rolling.TURN_MAX)
+        self._ability = rolling.Ability(self._acceleration_max, speed_max(fleet), turns, body.hand_offset_m)
         self._rolling: dict[Peer, float] = {}
         self.evades = ""
-        self._move = dodging.STAND
+        self._move = rolling.STAND
         self._is_own_law = fleet.control.law is not None
 
     def find(self, scene: Scene, time_ns: int, edges: tuple[tuple[Edge, Peer], ...], grip: float) -> None:
@@ -131,17 +131,17 @@ class ConstraintAssembly:
         """
         lost = self._rolling
         if not lost:
-            self._move, self.evades = dodging.STAND, ""
+            self._move, self.evades = rolling.STAND, ""
             return None
         self._rolling = {}
         ways = [(self._peers.lost.way(peer, scene.now_ns), gap) for peer, gap in lost.items()]
-        self._move = dodging.out_of_the_way(body, ways, self._ability, self._move)
-        if self._move == dodging.STAND:
+        self._move = rolling.out_of_the_way(body, ways, self._ability, self._move)
+        if self._move == rolling.STAND:
             self.evades = ""
             return None
         names = {peer.name for peer in lost}
         self.evades = f"gets out of the way of {' and '.join(sorted(names))}, which nothing commands"
-        ux, uy = dodging.acceleration(body, self._move, self._ability)
+        ux, uy = rolling.acceleration(body, self._move, self._ability)
         others = [plane for plane in scene.planes if plane.cause not in names]
         if any(
             MOST_OF * (plane.nx * ux + plane.ny * uy) < plane.least

@@ -20,23 +20,23 @@ from handfast.agent.control.caution import Caution
 from handfast.agent.control.constraint_assembly import ConstraintAssembly, Scene
 from handfast.agent.control.couplings import COUPLINGS
 from handfast.agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
-from handfast.agent.control.gains import gains_of
-from handfast.agent.control.peers.peer import Peer
-from handfast.agent.control.peers.peers import Peers
-from handfast.agent.control.peers.prediction import BRAKING_TIME_S, constraint_decay
-from handfast.agent.control.peers.rolling import asked, rolls_of, setpoint
-from handfast.agent.control.proximity import Proximity
-from handfast.agent.control.right_of_way import RightOfWay
-from handfast.agent.control.safety_distances import (
+from handfast.agent.control.limits import (
     RATE_SHARE,
     SPEED_SHARE,
     TURN_MAX,
     TURN_SHARE,
     acceleration_max,
     barrier_rate,
+    gains_of,
     speed_max,
     speeding_rate,
 )
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
+from handfast.agent.control.peers.prediction import BRAKING_TIME_S, constraint_decay
+from handfast.agent.control.peers.rolling import asked, rolls_of, setpoint
+from handfast.agent.control.proximity import Proximity
+from handfast.agent.control.right_of_way import RightOfWay
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import SEND_BOUND_M
 from handfast.agent.formation.geometry import Geometry, start_hand

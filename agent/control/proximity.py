@@ -14,11 +14,7 @@ from handfast.agent.common.quantities import DISTANCE_MIN
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.boundaries import Boundary, fence_of, obstacles_of
 from handfast.agent.control.hand import Hand
-from handfast.agent.control.peers.beliefs import DOUBT_RATE, Stretch
-from handfast.agent.control.peers.lateness import UNSURE_NS
-from handfast.agent.control.peers.peer import Peer
-from handfast.agent.control.peers.peers import Peers
-from handfast.agent.control.safety_distances import (
+from handfast.agent.control.limits import (
     acceleration_max,
     avoidance_distance,
     barrier_rate,
@@ -26,6 +22,10 @@ from handfast.agent.control.safety_distances import (
     sensing_distance,
     speed_max,
 )
+from handfast.agent.control.peers.beliefs import DOUBT_RATE, Stretch
+from handfast.agent.control.peers.lateness import UNSURE_NS
+from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peers import Peers
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.mission_plan import Plan
 

@@ -28,11 +28,10 @@ from typing import Final, NamedTuple
 from handfast.agent.common.quantities import Vector
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Hand
-from handfast.agent.control.peers.beliefs import DOUBT_MAX, stands_after
-from handfast.agent.control.peers.lanes import Lane, Run, offset
+from handfast.agent.control.limits import barrier_rate, speed_max
+from handfast.agent.control.peers.beliefs import DOUBT_MAX, Lane, Run, offset, stands_after
 from handfast.agent.control.peers.peer import Peer
 from handfast.agent.control.peers.peers import Peers
-from handfast.agent.control.safety_distances import barrier_rate, speed_max
 from handfast.agent.control.safety_filter import HalfPlane, keep_clear
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.reference import Reference

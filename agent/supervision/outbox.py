@@ -26,7 +26,7 @@ from handfast.agent.messages.types import (
     Wrench,
 )
 from handfast.agent.supervision.beacon_schedule import BeaconSchedule
-from handfast.agent.supervision.stop_latch import StopLatch
+from handfast.agent.supervision.orders import StopLatch
 
 
 class Outbox:

@@ -15,6 +15,7 @@ from handfast.agent.control.controller import Controller
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.types import FUTURE_NS_MAX, Heartbeat, Mission, PlantState
 from handfast.agent.supervision.neighbour_trust import NeighbourTrust
+from handfast.agent.supervision.orders import AWAITED, StopLatch
 from handfast.agent.supervision.overload import SAID_NS, Overload
 from handfast.agent.supervision.state_machine import (
     ACTIVE,
@@ -25,7 +26,6 @@ from handfast.agent.supervision.state_machine import (
     State,
     at_rest,
 )
-from handfast.agent.supervision.stop_latch import AWAITED, StopLatch
 
 NOT_SAID: Final = "for an operator's word, or for one who drives by its mission: that is of before its start"
 """Why a robot does not drive by a mission that it has only been told of."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handfast.agent.control import law
-from handfast.agent.control.safety_distances import speed_max, speeding_rate
+from handfast.agent.control.limits import speed_max, speeding_rate
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.analysis import fleet_law
 from handfast.deploy.analysis.analysis import Analysis

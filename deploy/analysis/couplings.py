@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handfast.agent.common.errors import Error
-from handfast.agent.control.gains import gains_of
+from handfast.agent.control.limits import gains_of
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry
 from handfast.deploy.analysis import fleet_law, patience

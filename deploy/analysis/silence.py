@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.constraint_assembly import STOP_S
+from handfast.agent.control.limits import barrier_rate, speed_max
 from handfast.agent.control.peers.beliefs import STANDS_S, said_doubt, stands_after
 from handfast.agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
-from handfast.agent.control.safety_distances import barrier_rate, speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import SEND_BOUND_M
 from handfast.plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S

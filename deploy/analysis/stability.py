@@ -14,7 +14,7 @@ import numpy as np
 
 from handfast.agent.common.quantities import Vector
 from handfast.agent.control.law import acting_error, firmness
-from handfast.agent.control.safety_distances import speed_max, speeding_rate
+from handfast.agent.control.limits import speed_max, speeding_rate
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry, start_hands
 from handfast.agent.formation.points import Floats, edge_lengths

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from handfast.agent.control.safety_distances import TURN_MAX, barrier_rate, speed_max
+from handfast.agent.control.limits import TURN_MAX, barrier_rate, speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot
 from handfast.agent.formation import trajectory

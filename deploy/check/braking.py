@@ -8,14 +8,14 @@ from math import dist, floor, inf, log10, sqrt
 from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.control.peers.beliefs import said_doubt
-from handfast.agent.control.peers.lateness import UNSURE_NS
-from handfast.agent.control.safety_distances import (
+from handfast.agent.control.limits import (
     RATE_SHARE,
     acceleration_max,
     barrier_rate,
     speed_max,
 )
+from handfast.agent.control.peers.beliefs import said_doubt
+from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot

@@ -12,7 +12,7 @@ from math import floor, inf
 from typing import Final, NamedTuple
 
 from handfast.agent.common.compiled import COMPILED
-from handfast.agent.control.safety_distances import barrier_rate, speed_max
+from handfast.agent.control.limits import barrier_rate, speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.check.check import check
 from handfast.deploy.check.finding import Finding

@@ -11,8 +11,7 @@ import numpy as np
 from handfast.agent.common.models import plain
 from handfast.agent.common.wording import show
 from handfast.agent.control.boundaries import obstacles_of
-from handfast.agent.control.pace import speed_share, steps, why_not
-from handfast.agent.control.safety_distances import clearance, sensing_distance
+from handfast.agent.control.limits import clearance, sensing_distance, speed_share, steps, why_not
 from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation import trajectory

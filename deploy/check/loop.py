@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from handfast.agent.control.pace import steps, why_not
+from handfast.agent.control.limits import steps, why_not
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry
 from handfast.deploy.analysis.couplings import coupling_of, law_of

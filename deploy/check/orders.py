@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.control.limits import speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.orders import OrderSection
 from handfast.agent.formation.geometry import Geometry

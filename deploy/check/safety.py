@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
 from handfast.agent.control.hand import Pose, hand
-from handfast.agent.control.safety_distances import avoidance_distance, clearance, least_apart
+from handfast.agent.control.limits import avoidance_distance, clearance, least_apart
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry
 from handfast.agent.formation.points import Floats

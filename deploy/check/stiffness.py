@@ -15,9 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from handfast.agent.control.gains import FOLD, SOFTNESS
 from handfast.agent.control.law import APPROACH_SHARE
-from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.control.limits import FOLD, SOFTNESS, speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from math import inf, sqrt
 from typing import Final, NamedTuple
 
+from handfast.agent.control.limits import acceleration_max, speed_max
 from handfast.agent.control.peers.rolling import STOPS_S, room_to_know
-from handfast.agent.control.safety_distances import acceleration_max, speed_max
 from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.control.limits import speed_max
 from handfast.agent.fleet.model import Fleet
 
 NAMES_SHOWN: Final = 8

@@ -25,7 +25,7 @@ import numpy as np
 
 from handfast.agent.common.quantities import Vector
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.control.limits import speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.mission_plan import Plan
 from handfast.agent.formation.points import Floats

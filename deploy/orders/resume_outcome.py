@@ -9,9 +9,9 @@ from typing import Final
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Message, PlantState, Resume, Status
+from handfast.agent.supervision.orders import AWAITED
 from handfast.agent.supervision.situation import NOT_SAID
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, MISSION_OVER, State
-from handfast.agent.supervision.stop_latch import AWAITED
 from handfast.deploy.console.wording import grouped, robots
 
 _OVER: Final = (State.STOPPED.value, MISSION_OVER)

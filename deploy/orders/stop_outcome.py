@@ -49,7 +49,7 @@ def has_acknowledged(status: Status | None, stop: Stop) -> bool:
 
 
 def _reason(stop: Stop) -> str:
-    """What an agent says that brakes by it (`agent.supervision.stop_latch.StopLatch.stopped`)."""
+    """What an agent says that brakes by it (`agent.supervision.orders.StopLatch.stopped`)."""
     return clipped(f"stop: {stop.reason}" if stop.reason else "stop")
 
 

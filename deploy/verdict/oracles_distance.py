@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from handfast.agent.control.boundaries import fence_of, obstacles_of
-from handfast.agent.control.safety_distances import clearance as clearance_of
+from handfast.agent.control.limits import clearance as clearance_of
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
 from handfast.deploy.analysis.analysis import Analysis, Approaches

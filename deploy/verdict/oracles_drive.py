@@ -9,8 +9,8 @@ import numpy as np
 
 from handfast.agent.common.quantities import DISTANCE_MIN
 from handfast.agent.control.boundaries import fence_of, obstacles_of
-from handfast.agent.control.safety_distances import avoidance_distance, barrier_rate, speed_max
-from handfast.agent.control.safety_distances import clearance as clearance_of
+from handfast.agent.control.limits import avoidance_distance, barrier_rate, speed_max
+from handfast.agent.control.limits import clearance as clearance_of
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS, EFFECTS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.points import Floats

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from handfast.agent.control.safety_distances import acceleration_max
+from handfast.agent.control.limits import acceleration_max
 from handfast.agent.fleet.fault_rules import Impairments, Rule
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.points import Floats

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from handfast.agent.control.safety_distances import speed_max
+from handfast.agent.control.limits import speed_max
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
 from handfast.deploy.analysis.analysis import Analysis, norm

@@ -21,7 +21,7 @@ from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
-from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.agent.supervision.orders import AWAITED
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, world_to_geodetic
 from handfast.bridges.mavlink.bridge.backend import MavlinkPlant, session

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.control.safety_distances import clearance
+from handfast.agent.control.limits import clearance
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve, start_hand
 from handfast.agent.formation.trajectory import make_trajectory

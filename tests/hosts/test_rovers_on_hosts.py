@@ -20,7 +20,7 @@ import pytest
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
-from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.agent.supervision.orders import AWAITED
 from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
 from handfast.bridges.mavlink.simulator.settings import settings_of
 from handfast.deploy.console.data_files import FLEETS

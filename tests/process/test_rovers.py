@@ -11,7 +11,7 @@ from pathlib import Path
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.types import HandState, PlantState, Status, Wrench
-from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.agent.supervision.orders import AWAITED
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.bridge.backend import BEGUN_LATE
 from tests.ground_station import Operator

@@ -7,7 +7,7 @@ from random import Random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handfast.agent.control.peers.clock_offset import DRIFT_MAX, LEAK_NS, ClockOffset
+from handfast.agent.control.peers.lateness import DRIFT_MAX, LEAK_NS, ClockOffset
 from tests.two_clocks import MS, PERIOD, Delay, S, Side, exchange
 
 OFFSETS = st.integers(-3 * S, 3 * S) | st.integers(-2 * PERIOD, 2 * PERIOD)

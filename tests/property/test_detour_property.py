@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from handfast.agent.control.boundaries import obstacles_of
-from handfast.agent.control.safety_distances import clearance
+from handfast.agent.control.limits import clearance
 from tests.property.driving_bench import circle, drive, fleet_of, polygon
 
 SAFE = 0.22

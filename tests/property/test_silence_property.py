@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from handfast.agent.control.constraint_assembly import only_braking
 from handfast.agent.control.hand import Hand
-from handfast.agent.control.peers.beliefs import growth, said_doubt, stood_on
-from handfast.agent.control.peers.lanes import Lane
+from handfast.agent.control.peers.beliefs import Lane, growth, said_doubt, stood_on
 from handfast.agent.control.right_of_way import RightOfWay
 from handfast.agent.control.safety_filter import keep_apart, limit_speed, project
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.control.gains import gains_of
+from handfast.agent.control.limits import gains_of
 from handfast.agent.core import Agent
 from handfast.agent.fleet.loading import digest, load_fleet
 from handfast.agent.fleet.model import Fleet

@@ -14,8 +14,7 @@ from typing import Final
 from handfast.agent.common.quantities import Vector
 from handfast.agent.common.time import NS_PER_MS, NS_PER_S
 from handfast.agent.control.hand import Hand
-from handfast.agent.control.peers.beliefs import Belief, own_doubt, rolled_on, stood_on
-from handfast.agent.control.peers.lanes import Lane
+from handfast.agent.control.peers.beliefs import Belief, Lane, own_doubt, rolled_on, stood_on
 from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.peers.prediction import (
     Prediction,

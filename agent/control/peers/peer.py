@@ -7,8 +7,7 @@ from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief, own_doubt
-from handfast.agent.control.peers.clock_offset import ClockOffset
-from handfast.agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS, Lateness
+from handfast.agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS, ClockOffset, Lateness
 from handfast.agent.control.peers.rolling import is_somewhere_on
 from handfast.agent.messages.types import HandState
 

@@ -25,13 +25,10 @@ from handfast.agent.control.peers.lateness import (
     UNSURE_NS,
     missed_at_least,
 )
-from handfast.agent.control.peers.lost_vehicles import LostVehicles
-from handfast.agent.control.peers.overdue import Overdue
 from handfast.agent.control.peers.peer import NEVER, Peer
 from handfast.agent.control.peers.prediction import Prediction, as_it_came, coasting
 from handfast.agent.control.peers.rolling import Rolls
-from handfast.agent.control.peers.silent_rows import NEVER_CAME_NS, SilentRows
-from handfast.agent.control.peers.whereabouts import Whereabouts
+from handfast.agent.control.peers.silent import NEVER_CAME_NS, LostVehicles, Overdue, SilentRows, Whereabouts
 from handfast.agent.messages.types import (
     FUTURE_NS_MAX,
     NEIGHBOURS_MAX,

@@ -20,7 +20,7 @@ from enum import Enum
 from typing import Final, NamedTuple, Protocol
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.agent.supervision.orders import AWAITED
 from handfast.bridges.mavlink.ardupilot import constants
 
 UNHEARD: Final = "nothing was heard of it"

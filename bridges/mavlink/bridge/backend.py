@@ -13,8 +13,8 @@ from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.runtime.loop import Log
+from handfast.agent.supervision.orders import AWAITED
 from handfast.agent.supervision.state_machine import at_rest
-from handfast.agent.supervision.stop_latch import AWAITED
 from handfast.bridges.mavlink.ardupilot import constants, frames
 from handfast.bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld

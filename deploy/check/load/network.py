@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handfast.agent.control.safety_distances import sensing_distance
+from handfast.agent.control.limits import sensing_distance
 from handfast.agent.fleet.hosts import MESH_ROBOTS_MAX
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry, resolve, start_hands

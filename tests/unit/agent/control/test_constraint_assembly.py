@@ -10,10 +10,9 @@ import pytest
 from handfast.agent.control.constraint_assembly import STOP_S, ConstraintAssembly, Scene
 from handfast.agent.control.controller import Controller
 from handfast.agent.control.hand import Hand, Pose
-from handfast.agent.control.peers.beliefs import DOUBT_MAX, stood_on
-from handfast.agent.control.peers.lanes import Run
+from handfast.agent.control.limits import barrier_rate
+from handfast.agent.control.peers.beliefs import DOUBT_MAX, Run, stood_on
 from handfast.agent.control.peers.rolling import STOPS_S, Rolls, arc, middle, rolled
-from handfast.agent.control.safety_distances import barrier_rate
 from handfast.agent.control.safety_filter import SEPARATION, STANDING, UNSURE, HalfPlane, project
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolve

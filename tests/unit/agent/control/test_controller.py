@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from handfast.agent.control.controller import LOOK_PERIOD_NS, REST_PERIOD_NS, Controller
 from handfast.agent.control.hand import Pose, advance, hand, wrench
+from handfast.agent.control.limits import barrier_rate
 from handfast.agent.control.peers.prediction import BRAKING_TIME_S
-from handfast.agent.control.safety_distances import barrier_rate
 from handfast.agent.fleet.loading import load_fleet, parse_fleet
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.messages import key_expressions

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from handfast.agent.common.quantities import DISTANCE_MIN
 from handfast.agent.control.controller import LOOK_PERIOD_NS
 from handfast.agent.control.hand import Hand
+from handfast.agent.control.limits import acceleration_max, speed_max
 from handfast.agent.control.peers.beliefs import DOUBT_MAX, Belief, Stretch
 from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.peers.peer import Peer
 from handfast.agent.control.peers.peers import Peers
 from handfast.agent.control.proximity import AHEAD_S, LOOK_MANY_NS, REST_MAX_NS, STAY_M, Proximity
-from handfast.agent.control.safety_distances import acceleration_max, speed_max
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve

@@ -7,7 +7,7 @@ from math import hypot, pi, sqrt
 
 import pytest
 
-from handfast.agent.control.peers.lanes import Lane
+from handfast.agent.control.peers.beliefs import Lane
 from handfast.agent.fleet.sections import TrajectorySection
 from handfast.agent.formation.trajectory import (
     corner_distances,

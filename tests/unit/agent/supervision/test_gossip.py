@@ -11,7 +11,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Ask, Mission, Resume, Stop, Wrench
-from handfast.agent.supervision.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
+from handfast.agent.supervision.orders import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from handfast.agent.supervision.state_machine import DRIVING, State
 from tests.unit.agent.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
 

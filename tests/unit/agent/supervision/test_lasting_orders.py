@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import Mission, Resume, Stop
-from handfast.agent.supervision.lasting_orders import LastingOrders
-from handfast.agent.supervision.stop_latch import StopLatch
+from handfast.agent.supervision.orders import LastingOrders, StopLatch
 
 MISSION = Mission(7, 0, 5, 10, "digest")
 

@@ -9,8 +9,8 @@ from handfast.agent.formation.mission_choice import MissionChoice
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.sequence_numbers import FIRST_ROUND
 from handfast.agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Setpoint, Wrench
+from handfast.agent.supervision.orders import StopLatch
 from handfast.agent.supervision.outbox import Outbox
-from handfast.agent.supervision.stop_latch import StopLatch
 from tests.unit.agent.agent_bench import BEACON, HAND, PERIOD, START, WRENCH, fleet
 
 HERE = Hand(1.0, 2.0, 0.5, -0.5)

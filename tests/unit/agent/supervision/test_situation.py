@@ -14,10 +14,10 @@ from handfast.agent.fleet.model import LISTEN_BEACONS
 from handfast.agent.formation.geometry import resolve, resolved
 from handfast.agent.messages.types import PlantState, Removed, Resume, Stop
 from handfast.agent.supervision.neighbour_trust import NeighbourTrust
+from handfast.agent.supervision.orders import AWAITED
 from handfast.agent.supervision.overload import Overload
 from handfast.agent.supervision.situation import NOT_SAID, Situation
 from handfast.agent.supervision.state_machine import DRIVING, MISSION_OVER, State
-from handfast.agent.supervision.stop_latch import AWAITED
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.orders.mission_editing import first_mission
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handfast.agent.messages.types import Resume, Stop
-from handfast.agent.supervision.stop_latch import StopLatch
+from handfast.agent.supervision.orders import StopLatch
 
 ROBOT = 1
 

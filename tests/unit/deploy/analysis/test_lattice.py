@@ -6,7 +6,7 @@ from math import hypot
 
 import pytest
 
-from handfast.agent.control.pace import steps
+from handfast.agent.control.limits import steps
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolve, start_hands
 from handfast.deploy.analysis.lattice import ROBOTS_MIN, SCATTER_M, SIDE_M, edges, lattice, places

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from handfast.agent.control.safety_distances import barrier_rate
+from handfast.agent.control.limits import barrier_rate
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve

@@ -10,9 +10,9 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import PlantState, Resume, Status
+from handfast.agent.supervision.orders import AWAITED
 from handfast.agent.supervision.situation import NOT_SAID
 from handfast.agent.supervision.state_machine import MISSION_OVER
-from handfast.agent.supervision.stop_latch import AWAITED
 from handfast.deploy.console.arguments import InputError, robots_named
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.orders.resume_outcome import Resuming

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from handfast.agent.control.peers.clock_offset import CONFIRM_PERIODS, DRIFT_MAX, LEAK_NS, ClockOffset
+from handfast.agent.control.peers.lateness import CONFIRM_PERIODS, DRIFT_MAX, LEAK_NS, ClockOffset
 from tests.two_clocks import MS, PERIOD, Delay, S, Side, exchange, run
 
 T0 = 1000 * S

@@ -9,7 +9,7 @@ import pytest
 from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.peers.peers import Peers
 from handfast.agent.control.peers.rolling import Rolls, arc, arc_of, middle
-from handfast.agent.control.peers.silent_rows import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
+from handfast.agent.control.peers.silent import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
 from handfast.agent.messages.types import SILENT_MAX, Beacon, HandState, Removed, Silent
 from tests.unit.agent.control.peers.neighbours import (
     PERIOD,

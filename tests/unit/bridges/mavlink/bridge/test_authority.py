@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handfast.agent.supervision.stop_latch import AWAITED
+from handfast.agent.supervision.orders import AWAITED
 from handfast.bridges.mavlink.bridge.authority import REBOOTED, TRANSITIONS, Authority, Holder
 
 MANUAL = "mode MANUAL, not GUIDED"
