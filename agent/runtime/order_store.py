@@ -1,7 +1,8 @@
-"""The folder in which a robot's processes keep operators' orders, so that these outlive them.
+"""Folders of robots' processes on this machine: one in which they keep operators' orders, so that these
+outlive them, and one in which a user's processes find each other (locks, lists, no secrets).
 
-Each process has a file of its own, written by a thread: who obeys never waits for a disk. Beside them
-`STOP_FILE` is for whoever stops the robots of this computer without a link to them: every process looks for
+Each process has a file of orders of its own, written by a thread: an agent never waits for a disk.
+`STOP_FILE` beside them stops the robots of this computer without a link to them: every process looks for
 it. The files hold an order as it came, sealed in a secured fleet.
 """
 
@@ -9,9 +10,12 @@ from __future__ import annotations
 
 import json
 import os
+import stat
+import tempfile
 import threading
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 from zlib import crc32
@@ -208,3 +212,25 @@ class OrderStore:
 
     def _has_other(self) -> bool:
         return self._ended or (self._wanted is not None and self._wanted[0] is not self._written)
+
+
+class NotPrivateError(OSError):
+    """What is there is no folder, or others may write to it; the text says what to do."""
+
+
+def private_folder() -> Path:
+    """The folder, made if need be. Nobody else may write there, or names in it would be anybody's to take.
+
+    Raises:
+        NotPrivateError: somebody else may, or it is no folder.
+    """
+    folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
+    with suppress(FileExistsError):  # a file, or a link to nowhere: refused below
+        folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise NotPrivateError(
+            f"{folder} must be a folder of this user that nobody else may write to: remove it, "
+            "or make it so (chmod 700)"
+        )
+    return folder

@@ -21,8 +21,7 @@ from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.ticks import Deadlines
 from handfast.agent.messages import key_expressions
 from handfast.agent.node import Node
-from handfast.agent.runtime.clock import RealClock
-from handfast.agent.runtime.loop import A_ROUTER, Log, OrderKeeper, loop
+from handfast.agent.runtime.loop import A_ROUTER, Log, OrderKeeper, RealClock, loop
 from handfast.agent.runtime.order_store import OrderStore
 from handfast.agent.runtime.preloaded import fleet_of, started
 from handfast.agent.runtime.service import Shutdown, SystemdNotifier, add_parent_argument, wait_until_valid

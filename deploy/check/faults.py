@@ -23,7 +23,7 @@ from handfast.deploy.check.finding import Finding, Level
 from handfast.deploy.check.load.radio import hand_bytes
 from handfast.deploy.console.wording import NAMES_SHOWN, robots
 from handfast.deploy.faults.rules import acts_on_links, windows, words
-from handfast.deploy.recording.link_table import Link, links_of
+from handfast.deploy.recording.tables import Link, links_of
 
 CONTRADICTIONS_MAX: Final = 12
 """So many are said one by one."""

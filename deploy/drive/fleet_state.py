@@ -25,7 +25,7 @@ from handfast.agent.messages.types import (
     Stop,
     Wrench,
 )
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import RealClock
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.wording import robots, some
 from handfast.deploy.drive.readiness import in_words, is_ready, may_begin, waits

@@ -15,11 +15,11 @@ from handfast.deploy.drive.display.live_view import View
 from handfast.deploy.drive.drive import Drive
 from handfast.deploy.drive.timing import Timing
 from handfast.deploy.inventory.registry import Registration
+from handfast.deploy.processes.attributes import interrupting_nobody
 from handfast.deploy.processes.child import environment
 from handfast.deploy.processes.forking import ForkServer
 from handfast.deploy.processes.local import Processes
 from handfast.deploy.processes.placement import Vehicle, held_orders, orders_folder
-from handfast.deploy.processes.scheduling import interrupting_nobody
 from handfast.deploy.report.run_folder import RunFolder
 from handfast.deploy.session.operator_bus import operator_bus
 from handfast.deploy.session.stop_by_file import FileWay

@@ -20,7 +20,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import RealClock
 from handfast.agent.transport.bus import Bus
 from handfast.bridges.mavlink.ardupilot.constants import AVOID_ENABLE, RIGHT_FAILSAFES
 from handfast.bridges.mavlink.session.requests import AUDITED

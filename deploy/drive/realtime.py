@@ -29,8 +29,8 @@ from handfast.agent.runtime.realtime_granted import (
 )
 from handfast.deploy.drive.vehicle_checks import OK, WARNING, Line, sentences
 from handfast.deploy.faults.process_actions import Process
+from handfast.deploy.processes.attributes import words_of
 from handfast.deploy.processes.child import FleetProcesses
-from handfast.deploy.processes.command_line import words_of
 
 NAME: Final = "realtime"
 TRIAL: Final = "handfast.agent.runtime.realtime"

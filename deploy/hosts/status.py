@@ -31,8 +31,7 @@ from handfast.deploy.hosts.connection import Clock, HostError
 from handfast.deploy.inventory.expiry import Expiry
 from handfast.deploy.inventory.known_fleets import KnownFleet
 from handfast.deploy.inventory.registry import Running
-from handfast.deploy.processes.log_files import last_words
-from handfast.deploy.processes.table import PAUSED, fleet_processes, state_of
+from handfast.deploy.processes.running import PAUSED, fleet_processes, last_words, state_of
 from handfast.deploy.recording.run_files import LOG_FOLDER
 
 HERE: Final = "here"

@@ -319,7 +319,7 @@ def handled(command: Command) -> Command:
 
     def run(options: argparse.Namespace) -> int:
         # Here: opening the bus takes its time, and most commands do not.
-        from handfast.agent.runtime.runtime_folder import NotPrivateError
+        from handfast.agent.runtime.order_store import NotPrivateError
         from handfast.agent.transport.bus import BusError
         from handfast.deploy.inventory.known_fleets import NotRunningError
 

@@ -26,7 +26,7 @@ from handfast.agent.common.wording import printable
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.loading import to_dict
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.agent.runtime.order_store import NotPrivateError, private_folder
 from handfast.deploy.console.wording import some
 from handfast.deploy.inventory.hosts import robots_on
 

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 from handfast.agent.control.hand import Pose
 from handfast.agent.runtime.realtime_granted import Granted
 from handfast.deploy.faults.process_actions import Action, Process
-from handfast.deploy.processes.command_line import words_of
+from handfast.deploy.processes.attributes import words_of
 from handfast.deploy.processes.forking import UNSEEN, ForkServer
 
 LAST_LINES: Final = 5

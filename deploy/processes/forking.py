@@ -31,8 +31,8 @@ from typing import Any, Final
 
 from handfast.agent.fleet.plants import KINDS
 from handfast.agent.runtime import preloaded
-from handfast.deploy.processes import command_line, scheduling
-from handfast.deploy.processes.command_line import ROOM, words_of
+from handfast.deploy.processes import attributes
+from handfast.deploy.processes.attributes import ROOM, words_of
 
 MODULES: Final = {"handfast.agent"} | {
     module for kind in KINDS.values() for module in (kind.program, kind.simulator) if module
@@ -101,13 +101,13 @@ class _Program(process.BaseProcess):
             for handle, standard in ((null.fileno(), 0), (log, 1), (log, 2)):
                 os.dup2(handle, standard)
         os.close(log)
-        command_line.show(words_of(self.module, self.arguments))
+        attributes.show(words_of(self.module, self.arguments))
         if self.yields:
-            scheduling.yield_at_start()
+            attributes.yield_at_start()
             if self.for_many:
-                scheduling.interrupt()
+                attributes.interrupt()
             else:
-                preloaded.on_start(partial(scheduling.yield_once_started, self.yields))
+                preloaded.on_start(partial(attributes.yield_once_started, self.yields))
         preloaded.on_start(partial(os.close, started))
         invalidate_caches()  # of folders as they were
         if random := sys.modules.get("numpy.random"):  # Python's own seeds itself
@@ -183,7 +183,7 @@ class ForkServer:
         self._run(str(fleet_file))
 
     def yields(self, niceness: int) -> None:
-        """Have all later processes share processors as many robots do (`deploy.processes.scheduling`)."""
+        """Have all later processes share processors as many robots do (`deploy.processes.attributes`)."""
         self._yields = niceness
 
     def start(
@@ -199,7 +199,7 @@ class ForkServer:
         Raises:
             OSError: the system has no room for another process, or the server is stuck.
         """
-        is_known = module in MODULES and command_line.room(words_of(module, arguments)) <= ROOM
+        is_known = module in MODULES and attributes.room(words_of(module, arguments)) <= ROOM
         if self._is_closed or not is_known:
             return None
         self._wait_for_room()

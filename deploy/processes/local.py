@@ -19,10 +19,10 @@ from handfast.agent.runtime.realtime_granted import Granted, look
 from handfast.deploy.check.load.sharing import sharing
 from handfast.deploy.console.wording import robots
 from handfast.deploy.faults.process_actions import Action, Process
+from handfast.deploy.processes.attributes import niceness
 from handfast.deploy.processes.child import Child, end_all, name_of
 from handfast.deploy.processes.forking import ForkServer
 from handfast.deploy.processes.placement import Vehicle
-from handfast.deploy.processes.scheduling import niceness
 
 VEHICLE: Final = "vehicle"
 """Role of a simulated rover. It is no process of the fleet's: it is not on the bus, and no rule names it."""

@@ -19,7 +19,7 @@ from handfast.agent.fleet.hosts import PORT_MAX, NetworkSection
 from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot
-from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.agent.runtime.order_store import NotPrivateError, private_folder
 
 BLOCK: Final = 128
 """Ports are reserved in blocks of this many."""
@@ -103,7 +103,7 @@ def orders_folder(fleet: Fleet) -> Path:
     (`held_orders`).
 
     Raises:
-        handfast.agent.runtime.runtime_folder.NotPrivateError: there is no folder for it.
+        handfast.agent.runtime.order_store.NotPrivateError: there is no folder for it.
     """
     return private_folder() / f"{_ORDERS}-{mark(fleet)}"
 

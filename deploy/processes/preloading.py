@@ -14,7 +14,7 @@ from handfast.agent.common.errors import Error
 from handfast.agent.fleet.plants import DEFAULT, KINDS
 from handfast.agent.messages import codec
 from handfast.agent.runtime import preloaded
-from handfast.deploy.processes import command_line
+from handfast.deploy.processes import attributes
 from handfast.deploy.processes.forking import PRELOAD, end_with
 
 
@@ -26,7 +26,7 @@ def prepare(parent: int, fleet_file: str) -> None:
     for standard in (1, 2):
         os.dup2(null, standard)  # processes report in their own logs what this one cannot load
     os.close(null)
-    command_line.show(command_line.words_of(__name__, []))
+    attributes.show(attributes.words_of(__name__, []))
     gc.disable()
     programs = {"handfast.agent", KINDS[DEFAULT].program}
     with suppress(Error):  # each process reports it

@@ -25,8 +25,8 @@ from handfast.agent.messages.types import (
     StatusText,
     Stop,
 )
-from handfast.deploy.recording.link_table import LinkTable
 from handfast.deploy.recording.tables import (
+    LinkTable,
     StatusTable,
     Table,
 )

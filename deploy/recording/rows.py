@@ -15,8 +15,16 @@ import numpy as np
 
 from handfast.agent.messages.types import DUPLICATED, HandState, LinkTrace, Message, Multiplier, Status
 from handfast.deploy.recording.columns import Store
-from handfast.deploy.recording.link_table import EXACT, Clock, LinkTable, true_ns
-from handfast.deploy.recording.tables import NEIGHBOUR, StatusTable, Table, columns
+from handfast.deploy.recording.tables import (
+    EXACT,
+    NEIGHBOUR,
+    Clock,
+    LinkTable,
+    StatusTable,
+    Table,
+    columns,
+    true_ns,
+)
 
 _INTEGER_MAX: Final = 2**62
 _PAIR: Final = Struct("2d").pack

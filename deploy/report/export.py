@@ -34,10 +34,9 @@ from handfast.agent.messages.types import (
     Wrench,
 )
 from handfast.deploy.analysis.analysis import Analysis
-from handfast.deploy.recording.link_table import LinkTable
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.run_files import RecordingError
-from handfast.deploy.recording.tables import StatusTable, Table, columns
+from handfast.deploy.recording.tables import LinkTable, StatusTable, Table, columns
 from handfast.deploy.report.whole_file import whole_files
 from handfast.deploy.verdict.metrics import MESSAGES
 from handfast.deploy.verdict.run_result import RunResult

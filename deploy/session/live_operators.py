@@ -23,7 +23,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import BYTES_MAX, PlantState, Status, Stop
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.agent.runtime.order_store import NotPrivateError, private_folder
 from handfast.deploy.orders.stop_outcome import Stopping, again_s
 from handfast.deploy.processes.placement import mark
 

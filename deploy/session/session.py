@@ -12,7 +12,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import Message
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import RealClock
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.faults.live import Receiver, receivers

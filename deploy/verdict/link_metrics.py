@@ -28,9 +28,8 @@ from handfast.deploy.faults.rules import (
     windows,
     words,
 )
-from handfast.deploy.recording.link_table import Ints, Link, LinkTable, links_of
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.recording.tables import StatusTable
+from handfast.deploy.recording.tables import Ints, Link, LinkTable, StatusTable, links_of
 
 Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]
 """By (source, destination): fleet times of the receiver's ticks (s) and the age of what it had then (ms)."""

@@ -26,7 +26,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Mission, PlantState, Status
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import RealClock
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.processes.child import ONE_THREAD
 from handfast.deploy.processes.placement import place

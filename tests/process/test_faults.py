@@ -15,9 +15,9 @@ import pytest
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.sequence_numbers import FIRST_ROUND
 from handfast.agent.messages.types import LOST
-from handfast.deploy.recording.link_table import Link, LinkTable
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording
+from handfast.deploy.recording.tables import Link, LinkTable
 from tests.process.harness import (
     Command,
     measured,

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.runtime.runtime_folder import private_folder
+from handfast.agent.runtime.order_store import private_folder
 from tests.process.harness import Command, wait_for
 
 CALM = ("fleet.rate_hz=10", "control.wrench_timeout_s=1", "control.plant_timeout_s=1")

@@ -41,9 +41,8 @@ from handfast.agent.recorder.recorder import About, Received, RobotRecorder, ord
 from handfast.agent.security.identity import of_operator
 from handfast.agent.security.sealed_order import Opener, Sealer
 from handfast.deploy.merging.merge import Choice, Known, Merged, merge
-from handfast.deploy.recording.link_table import LinkTable
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.recording.tables import StatusTable, Table
+from handfast.deploy.recording.tables import LinkTable, StatusTable, Table
 from tests.declared_messages import messages_of
 from tests.trusted import authority, credentials
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle

@@ -25,8 +25,8 @@ from handfast.agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
 from handfast.agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.faults.rules import gives_link_effects
-from handfast.deploy.recording.link_table import Link, LinkTable, links_of
 from handfast.deploy.recording.recording import LiveFaults, Recording
+from handfast.deploy.recording.tables import Link, LinkTable, links_of
 
 DIFFERENCES_MAX: Final = 20
 """Maximum number of differences that a result lists."""

@@ -12,7 +12,7 @@ from typing import Final
 
 from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
 from handfast.agent.common.time import NS_PER_S, Clock
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import RealClock
 from handfast.agent.runtime.service import PARENT_PERIOD_NS, Shutdown, add_parent_argument
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.simulator.rover import Rover

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final, Protocol
 
-from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.agent.runtime.order_store import NotPrivateError, private_folder
 from handfast.bridges.mavlink.transport.channels import Channel, Serial, Tcp, UdpIn, UdpOut
 from handfast.bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
 

@@ -36,7 +36,7 @@ from handfast.deploy.inventory import hosts
 from handfast.deploy.inventory.hosts import allow_many, hosts_of, located, robots_on
 from handfast.deploy.inventory.known_fleets import MEANING, KnownFleet, NotRunningError, find, handled
 from handfast.deploy.inventory.registry import running
-from handfast.deploy.processes.log_files import LogFile, log_files
+from handfast.deploy.processes.running import LogFile, log_files
 from handfast.deploy.recording.run_files import FLEET_FILE, LOG_FOLDER
 
 FOLLOWED_LINES: Final = 20

@@ -76,7 +76,7 @@ def _signing(options: argparse.Namespace) -> int:
 
 def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
     """Gives these robots their keys, and says of each what became of it; how many sign."""
-    from handfast.agent.runtime.clock import RealClock
+    from handfast.agent.runtime.loop import RealClock
     from handfast.bridges.mavlink.bridge.signing_setup import Outcome, SigningSetup, give_keys, open_setup
     from handfast.bridges.mavlink.session.identity import SigningError
 

@@ -310,7 +310,7 @@ def fleet_row(fleet: KnownFleet) -> dict[str, Any]:
 
 
 def _state(run: Running) -> str:
-    from handfast.deploy.processes.table import PAUSED, state_of
+    from handfast.deploy.processes.running import PAUSED, state_of
 
     paused = " (PAUSED: `fg` there)" if state_of(run.pid) == PAUSED else ""
     return f"{'driven' if run.attached else 'running'}{paused}"

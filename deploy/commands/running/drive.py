@@ -220,12 +220,12 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
     Raises:
         InputError: a file cannot be written.
-        handfast.agent.runtime.runtime_folder.NotPrivateError: see there.
+        handfast.agent.runtime.order_store.NotPrivateError: see there.
     """
     import tomli_w
 
     from handfast.agent.fleet.loading import to_dict
-    from handfast.agent.runtime.runtime_folder import NotPrivateError
+    from handfast.agent.runtime.order_store import NotPrivateError
     from handfast.deploy.inventory.registry import Registration
 
     path = folder / ROBOTS_FILE

@@ -16,7 +16,7 @@ from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Mission
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import RealClock
 from handfast.agent.runtime.process import StartError
 from handfast.agent.transport.bus import Bus, BusError
 from handfast.deploy.console.data_files import FLEETS

@@ -10,7 +10,7 @@ import tomli_w
 from handfast.agent.__main__ import start as agent_start
 from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
 from handfast.agent.fleet.model import Fleet, FleetError
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime.loop import RealClock
 from handfast.plant import server
 from handfast.plant.unicycle import from_fleet
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.runtime import clock
-from handfast.agent.runtime.clock import RealClock
+from handfast.agent.runtime import loop
+from handfast.agent.runtime.loop import RealClock
 
 pytestmark = pytest.mark.patches
 
@@ -42,7 +42,7 @@ class Machine:
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     made = Machine()
-    monkeypatch.setattr(clock, "time", made)
+    monkeypatch.setattr(loop, "time", made)
     return made
 
 
@@ -90,7 +90,7 @@ def test_two_processes_between_which_the_clock_was_set_differ_by_as_much(machine
     before = RealClock().machine
     machine.wall += 3600 * NS_PER_S
     after = RealClock().machine
-    assert after.boot == before.boot == clock.boot()
+    assert after.boot == before.boot == loop.boot()
     assert after.offset_ns - before.offset_ns == pytest.approx(3600 * NS_PER_S, abs=100)
 
 
@@ -98,8 +98,8 @@ def test_another_boot_is_another_clock(monkeypatch: pytest.MonkeyPatch, tmp_path
     names = set()
     for text in ("one", "another"):
         (tmp_path / "boot_id").write_text(text)
-        monkeypatch.setattr(clock, "_BOOT_ID", tmp_path / "boot_id")
-        names.add(clock.boot())
-    monkeypatch.setattr(clock, "_BOOT_ID", tmp_path / "none")
-    names.add(clock.boot())  # a system that does not tell: by the host's name
+        monkeypatch.setattr(loop, "_BOOT_ID", tmp_path / "boot_id")
+        names.add(loop.boot())
+    monkeypatch.setattr(loop, "_BOOT_ID", tmp_path / "none")
+    names.add(loop.boot())  # a system that does not tell: by the host's name
     assert len(names) == 3

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.agent.runtime.runtime_folder import NotPrivateError, private_folder
+from handfast.agent.runtime.order_store import NotPrivateError, private_folder
 
 
 def test_the_folder_is_made_for_this_user_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from handfast.deploy.hosts import status
 from handfast.deploy.hosts.status import logs_of, process_row, run_words
 from handfast.deploy.inventory.known_fleets import KnownFleet
 from handfast.deploy.inventory.registry import Running
-from handfast.deploy.processes.table import PAUSED, RUNS, ProcessState
+from handfast.deploy.processes.running import PAUSED, RUNS, ProcessState
 
 FILE = FLEETS / "pair.toml"
 FLEET = load_fleet(FILE)

@@ -14,7 +14,7 @@ import pytest
 
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.runtime.runtime_folder import NotPrivateError
+from handfast.agent.runtime.order_store import NotPrivateError
 from handfast.deploy.inventory import registry
 from handfast.deploy.inventory.registry import FleetUp, Registration, entries, note_down, note_up, running
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from handfast.deploy.processes import command_line
+from handfast.deploy.processes import attributes
 
 SHOWS = """
 import sys
-from handfast.deploy.processes import command_line
-command_line.show({words})
+from handfast.deploy.processes import attributes
+attributes.show({words})
 print(end=open("/proc/self/cmdline").read())
 """
 
@@ -36,12 +36,12 @@ def test_what_does_not_fit_is_refused() -> None:
 
 
 def test_the_room_of_words_counts_their_bytes_and_ends() -> None:
-    assert command_line.room(["ab", "é", ""]) == 3 + 3 + 1
+    assert attributes.room(["ab", "é", ""]) == 3 + 3 + 1
 
 
 @pytest.mark.parametrize("text", ["", "1 (a b) S 2", "1 (x) " + "0 " * 60])
 def test_where_the_kernel_does_not_tell_there_is_no_room(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "read_text", lambda _: text)
-    assert command_line.area() == (0, 0)
+    assert attributes.area() == (0, 0)
     with pytest.raises(ValueError, match="does not fit into 0"):
-        command_line.show(["a"])
+        attributes.show(["a"])

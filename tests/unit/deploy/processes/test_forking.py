@@ -18,10 +18,9 @@ from typing import Final
 import pytest
 
 from handfast.deploy.processes import child, forking
+from handfast.deploy.processes.attributes import ROOM, STARTING, YIELDING
 from handfast.deploy.processes.child import Child, environment
-from handfast.deploy.processes.command_line import ROOM
 from handfast.deploy.processes.forking import UNSEEN, ForkedProcess, ForkServer
-from handfast.deploy.processes.scheduling import STARTING, YIELDING
 
 PATIENCE_S: Final = 30.0
 PROGRAM: Final = """

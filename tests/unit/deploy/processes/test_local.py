@@ -18,9 +18,9 @@ from handfast.deploy.analysis.lattice import lattice as grid
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.faults.process_actions import Action
 from handfast.deploy.processes import local
+from handfast.deploy.processes.attributes import YIELDING
 from handfast.deploy.processes.local import Processes
 from handfast.deploy.processes.placement import Vehicle
-from handfast.deploy.processes.scheduling import YIELDING
 from handfast.plant.backend import Plant
 
 POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.deploy.processes.log_files import last_words, log_files
+from handfast.deploy.processes.running import last_words, log_files
 
 
 def test_logs_of_the_robots_that_are_meant_in_their_order(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from typing import Final
 
 import pytest
 
-from handfast.deploy.processes import scheduling
-from handfast.deploy.processes.scheduling import (
+from handfast.deploy.processes import attributes
+from handfast.deploy.processes.attributes import (
     MANY,
     MANY_YIELDING,
     STARTING,
@@ -41,7 +41,7 @@ def test_what_is_started_meanwhile_interrupts_nobody() -> None:
 
 
 def test_who_yields_is_nicer_once() -> None:
-    code = "from handfast.deploy.processes.scheduling import yield_at_start; "
+    code = "from handfast.deploy.processes.attributes import yield_at_start; "
     code += f"yield_at_start(); yield_at_start(); {TELL}"
     told = subprocess.check_output([sys.executable, "-c", code]).split()
     assert tuple(map(int, told)) == (os.SCHED_BATCH, max(os.nice(0), STARTING))
@@ -49,7 +49,7 @@ def test_who_yields_is_nicer_once() -> None:
 
 THREADS: Final = """
 import os, threading
-from handfast.deploy.processes.scheduling import YIELDING, yield_at_start, yield_once_started
+from handfast.deploy.processes.attributes import YIELDING, yield_at_start, yield_once_started
 yield_at_start()
 done = threading.Event()
 thread = threading.Thread(target=done.wait)
@@ -80,6 +80,6 @@ def test_a_system_that_has_no_such_thing_or_forbids_it_goes_without(monkeypatch:
         patch.setattr(os, "sched_setscheduler", forbidden)
         with interrupting_nobody():
             assert os.sched_getscheduler(0) == policy
-    monkeypatch.setattr(scheduling, "_BATCH", 0)
+    monkeypatch.setattr(attributes, "_BATCH", 0)
     with interrupting_nobody():
         assert os.sched_getscheduler(0) == policy

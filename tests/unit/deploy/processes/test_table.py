@@ -13,7 +13,7 @@ import pytest
 
 from handfast.agent.fleet.loading import load_fleet
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.processes.table import PAUSED, RUNS, fleet_processes, process_state, state_of
+from handfast.deploy.processes.running import PAUSED, RUNS, fleet_processes, process_state, state_of
 
 FLEET = load_fleet(FLEETS / "pair.toml")
 DEADLINE_S = 20.0

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from handfast.deploy.recording.columns import Store
-from handfast.deploy.recording.link_table import EXACT
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.rows import StatusRows
+from handfast.deploy.recording.tables import EXACT
 from handfast.deploy.report import link_figure
 from handfast.deploy.report.link_section import advice
 from handfast.deploy.report.run_folder import rebuild, write_result

@@ -17,7 +17,7 @@ from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Message, PlantState, Status, Stop
-from handfast.agent.runtime import runtime_folder
+from handfast.agent.runtime import order_store
 from handfast.deploy.analysis.lattice import lattice
 from handfast.deploy.orders import stop_outcome
 from handfast.deploy.orders.stop_outcome import Stopping
@@ -41,7 +41,7 @@ class NotingBus:
 def _own_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """One of a short name: the path of a socket has some 100 bytes."""
     with tempfile.TemporaryDirectory(prefix="hf") as folder:
-        monkeypatch.setattr(runtime_folder.tempfile, "gettempdir", lambda: folder)
+        monkeypatch.setattr(order_store.tempfile, "gettempdir", lambda: folder)
         yield
 
 
@@ -119,7 +119,7 @@ def test_to_many_it_is_said_more_seldom(bus: NotingBus, monkeypatch: pytest.Monk
 
 
 def test_nothing_but_a_stop_is_passed_on(door: StopDoor, bus: NotingBus) -> None:
-    path = next(runtime_folder.private_folder().glob("live-*.sock"))
+    path = next(order_store.private_folder().glob("live-*.sock"))
     with live_operators._socket() as asks:
         for payload in (b"", b"nonsense", encode(braked(1, Stop(1, 1, ""))[0][1])):
             asks.sendto(payload, str(path))
@@ -142,7 +142,7 @@ def test_without_a_live_operator_nothing_happens() -> None:
     way.collect(stopping)
     assert not stopping.heard
     way.close()
-    assert list(runtime_folder.private_folder().iterdir()) == []
+    assert list(order_store.private_folder().iterdir()) == []
 
 
 def test_one_that_was_killed_is_put_away(bus: NotingBus) -> None:
@@ -151,7 +151,7 @@ def test_one_that_was_killed_is_put_away(bus: NotingBus) -> None:
     way = LiveWay(FLEET)
     way.send(Stop(5, 5, ""))
     way.close()
-    assert list(runtime_folder.private_folder().iterdir()) == []
+    assert list(order_store.private_folder().iterdir()) == []
 
 
 def test_of_two_fleets_of_one_name_the_one_that_is_meant(bus: NotingBus, way: LiveWay) -> None:
@@ -170,7 +170,7 @@ def test_a_flood_of_datagrams_keeps_no_drive(door: StopDoor, bus: NotingBus, way
 
 
 def test_who_comes_removes_what_killed_processes_left(bus: NotingBus) -> None:
-    folder = runtime_folder.private_folder()
+    folder = order_store.private_folder()
     dead = subprocess.Popen(["true"])
     dead.wait()
     left = [folder / f"live-0123abcd-{dead.pid}.sock", folder / f"asks-{dead.pid}-7f00.sock"]

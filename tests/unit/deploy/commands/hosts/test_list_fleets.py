@@ -94,7 +94,7 @@ def test_a_host_on_which_up_did_not_end(tmp_path: Path, capsys: pytest.CaptureFi
 def test_one_that_is_paused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("handfast.deploy.processes.table.state_of", lambda pid: {PID: "paused"}[pid])
+    monkeypatch.setattr("handfast.deploy.processes.running.state_of", lambda pid: {PID: "paused"}[pid])
     with a_run(tmp_path, "pair"):
         assert "running (PAUSED: `fg` there)" in listed(capsys)
 

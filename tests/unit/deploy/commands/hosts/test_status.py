@@ -22,7 +22,7 @@ from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.inventory import registry
 from handfast.deploy.inventory.certificate_authority import CERTIFICATE_DAYS
 from handfast.deploy.inventory.registry import Registration
-from handfast.deploy.processes.table import PAUSED, RUNS, ProcessState
+from handfast.deploy.processes.running import PAUSED, RUNS, ProcessState
 from tests.trusted import authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 

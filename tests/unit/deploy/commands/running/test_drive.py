@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.agent.runtime.runtime_folder import NotPrivateError
+from handfast.agent.runtime.order_store import NotPrivateError
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.identity import of_operator, of_robot
 from handfast.agent.transport.bus import BusError

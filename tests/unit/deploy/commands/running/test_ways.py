@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from handfast.agent.fleet.loading import parse_fleet
-from handfast.agent.runtime import runtime_folder
+from handfast.agent.runtime import order_store
 from handfast.agent.security.private_files import private_directory
 from handfast.deploy.commands.running.ways import by_ssh, ways
 from handfast.deploy.processes.placement import orders_folder
@@ -20,7 +20,7 @@ from tests.unit.deploy.orders.order_fleets import square
 @pytest.fixture(autouse=True)
 def _own_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="hf") as folder:
-        monkeypatch.setattr(runtime_folder.tempfile, "gettempdir", lambda: folder)
+        monkeypatch.setattr(order_store.tempfile, "gettempdir", lambda: folder)
         yield
 
 
