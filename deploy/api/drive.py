@@ -15,10 +15,9 @@ from typing import IO, Final, Unpack
 import msgpack
 
 from handfast.agent.common.errors import Error, packages_named
-from handfast.deploy.api.changes import in_words_of_python, own_classes
 from handfast.deploy.api.fleet import Changes, Source, load, names_known, refuse_errors, refuse_overload
-from handfast.deploy.api.given import a_path, flags
 from handfast.deploy.api.recording import Recording
+from handfast.deploy.api.values import a_path, flags, in_words_of_python, own_classes
 from handfast.deploy.inventory.own_orders import out_folder, refuse_full
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.verdict.run_result import RunResult

@@ -20,8 +20,7 @@ from handfast.agent.fleet.loading import (
     read_text,
     to_dict,
 )
-from handfast.deploy.api.changes import Classes, in_words_of_python, override, own_classes
-from handfast.deploy.api.given import Known, a_path
+from handfast.deploy.api.values import Classes, Known, a_path, in_words_of_python, override, own_classes
 from handfast.deploy.console.arguments import fleet_path, scenario_path
 from handfast.deploy.console.data_files import SCENARIOS, bundled
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from handfast.agent.common.errors import Error, packages_named
 from handfast.agent.formation.points import Floats
-from handfast.deploy.api.changes import in_words_of_python
-from handfast.deploy.api.given import Known, a_path, flags
+from handfast.deploy.api.values import Known, a_path, flags, in_words_of_python
 from handfast.deploy.inventory.own_orders import refuse_full
 from handfast.deploy.recording.tables import Table
 

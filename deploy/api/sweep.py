@@ -14,18 +14,15 @@ from numpy.typing import NDArray
 
 from handfast.agent.common.errors import Error, packages_named
 from handfast.agent.formation.points import Floats
-from handfast.deploy.api.changes import Classes, in_words_of_python, toml
 from handfast.deploy.api.fleet import Changes, Fleet, Source, load, names_known
-from handfast.deploy.api.given import Known, flags, positive, whole
 from handfast.deploy.api.recording import data_frame
-from handfast.deploy.cluster.campaign import Resources
-from handfast.deploy.cluster.program import identity
+from handfast.deploy.api.values import Classes, Known, flags, in_words_of_python, positive, toml, whole
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.progress import make_progress
-from handfast.deploy.hosts.bundle import plugins_of
-from handfast.deploy.simulate.worker_pool import Work
+from handfast.deploy.console.sources import plugins_of
+from handfast.deploy.simulate.worker_pool import Work, identity
 from handfast.deploy.sweep.plan import Plan, Question, check_cells, make_plan
-from handfast.deploy.sweep.run import PASSED, Row, Runs
+from handfast.deploy.sweep.run import PASSED, Resources, Row, Runs
 from handfast.deploy.sweep.summary import Cell, margin_axis, margins, summarise
 from handfast.deploy.sweep.varied import Axis, Range, parse_axis, parse_over
 from handfast.deploy.verdict.metrics import columns
@@ -66,10 +63,7 @@ class Sweep:
         found: dict[str, NDArray[Any]] = {}
         places = np.indices(self.shape).reshape(len(self.shape), len(self._plan.cells))
         for (field, values), place in zip(self.values.items(), places, strict=True):
-            chosen = [values[k] for k in np.repeat(place, self.seeds).tolist()]
-            shown = [each.__name__ if isinstance(each, type) else each for each in chosen]
-            plain = all(isinstance(each, (bool, int, float, str)) for each in shown)
-            found[field] = np.array(shown if plain else [str(each) for each in shown])
+            found[field] = _column([values[k] for k in np.repeat(place, self.seeds).tolist()])
         drawn = np.array([self._plan.drawn(run) for run in range(self._plan.runs)], dtype=np.float64)
         for place_of, each in enumerate(self._plan.ranges):
             found[each.field] = drawn[:, place_of]
@@ -153,6 +147,13 @@ class Sweep:
         failed = int((~self.columns["passed"]).sum())
         over = ", ".join(f"{field} ({len(values)})" for field, values in self.values.items()) or "nothing"
         return f"<Sweep over {over}: {self._plan.runs} runs, {failed or 'none'} failed>"
+
+
+def _column(values: Sequence[object]) -> NDArray[Any]:
+    """The values of a field, one for each run: as they are if numpy has a type for them, else as texts."""
+    shown = [each.__name__ if isinstance(each, type) else each for each in values]
+    plain = all(isinstance(each, (bool, int, float, str)) for each in shown)
+    return np.array(shown if plain else [str(each) for each in shown])
 
 
 @names_known

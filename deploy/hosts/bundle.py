@@ -5,8 +5,6 @@ processor, C library and Python. They come from where this machine's pip takes p
 keeps them, so that a fleet can be brought up again in a field. Where this machine's handfast is compiled, one
 more wheel holds the compiled modules, for computers that can run them; it is installed beside our packages,
 which are Python and run everywhere.
-
-Of a fleet's plugins, what the packages of their classes hold here is sent.
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from __future__ import annotations
 import base64
 import errno
 import hashlib
-import importlib.util
 import json
 import platform
 import re
@@ -25,7 +22,7 @@ import sysconfig
 import tempfile
 import threading
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
@@ -33,108 +30,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from handfast.agent.common.compiled import COMPILED
-from handfast.agent.common.errors import Error
-from handfast.agent.fleet.model import Fleet
 from handfast.agent.runtime.version import handfast_version
 from handfast.deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
+from handfast.deploy.console.sources import plugin_files
 from handfast.deploy.inventory.own_orders import cache_folder
-
-BYTES_MAX: Final = 16_000_000
-_COMPILED: Final = (".so", ".pyd", ".dylib")
-
-
-class PluginFilesError(Error):
-    """A plugin cannot be sent; the text is one clear line."""
-
-
-def plugin_modules(fleet: Fleet) -> tuple[str, ...]:
-    """Modules of the plugins that a fleet uses.
-
-    Raises:
-        PluginFilesError: one of them is known in this process alone.
-    """
-    used = plugins_of([fleet])
-    for reference in used:
-        if ":" not in reference:
-            raise PluginFilesError(
-                f"{reference}: this class is known in this process alone: robots' computers need it as "
-                '"package.module:Class"'
-            )
-    return tuple(sorted({reference.partition(":")[0] for reference in used}))
-
-
-def files_of_plugins(references: Iterable[str]) -> tuple[dict[str, bytes], list[PluginFilesError]]:
-    """Return the files of these plugins, as of `plugin_files`, and the reasons why a plugin has none.
-
-    Plugins that are known in this process alone are left out.
-    """
-    files: dict[str, bytes] = {}
-    lacking: list[PluginFilesError] = []
-    for module in sorted({each.partition(":")[0] for each in references if ":" in each}):
-        try:
-            files |= dict(plugin_files((module,)))
-        except PluginFilesError as error:
-            lacking.append(error)
-    return files, lacking
-
-
-def plugin_files(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
-    """Names, as below a folder of Python packages, and bytes of the files that these modules need.
-
-    A module's whole top-level package is sent, without what it was compiled to here.
-
-    Raises:
-        PluginFilesError: there is none, it is too large, or part of it is compiled for this machine.
-    """
-    seen: set[Path] = set()
-    total = 0
-    for module in modules:
-        base, place = _whole(module)
-        files = sorted(place.rglob("*")) if place.is_dir() else [place]
-        for path in files:
-            if not path.is_file() or path.suffix == ".pyc" or path in seen:
-                continue
-            name = path.relative_to(base).as_posix()
-            if path.suffix in _COMPILED:
-                raise PluginFilesError(
-                    f"{module}: {name} is compiled for this machine: only packages of pure Python are sent"
-                )
-            seen.add(path)
-            total += path.stat().st_size
-            if total > BYTES_MAX:
-                raise PluginFilesError(
-                    f"{module}: {place} is larger than {BYTES_MAX // 1_000_000} MB: put the class into a "
-                    "package of its own"
-                )
-            yield name, path.read_bytes()
-
-
-def plugins_of(fleets: Iterable[Fleet]) -> tuple[str, ...]:
-    """Return the plugins that fleets name, as their files give them."""
-    found: set[str] = set()
-    for fleet in fleets:
-        found |= {robot.plant for robot in fleet.robots if robot.kind.is_plugin}
-        if fleet.control.law is not None:
-            found.add(fleet.control.law)
-    return tuple(sorted(found))
-
-
-def _whole(module: str) -> tuple[Path, Path]:
-    """The folder above, and the folder or file of, a module's top-level package.
-
-    Of a namespace that several packages share, the part with the module.
-    """
-    parts = module.split(".")
-    for depth in range(1, len(parts) + 1):
-        spec = importlib.util.find_spec(".".join(parts[:depth]))
-        if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):
-            file = Path(spec.origin)
-            place = file.parent if spec.submodule_search_locations is not None else file
-            return place.parents[depth - 1], place
-        if spec is None or spec.origin is not None:
-            break
-    raise PluginFilesError(f"{module}: it is no file of Python: only packages of pure Python are sent")
-
 
 NAME: Final = "handfast_compiled"
 _EPOCH: Final = (2000, 1, 1, 0, 0, 0)
@@ -416,7 +315,7 @@ def program_archive(modules: tuple[str, ...] = ()) -> bytes:
         modules: of plugins, whose files go with them.
 
     Raises:
-        handfast.deploy.hosts.bundle.PluginFilesError: a plugin cannot be sent.
+        handfast.deploy.console.sources.PluginFilesError: a plugin cannot be sent.
     """
     memory = BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:

@@ -24,12 +24,13 @@ from handfast.agent.runtime.order_store import packed
 from handfast.agent.supervision.state_machine import DRIVING_NAMES
 from handfast.agent.transport.bus import BusError
 from handfast.deploy.console.interrupt import Interrupt
+from handfast.deploy.console.sources import plugin_modules
 from handfast.deploy.console.wording import robots as robots_words
 from handfast.deploy.console.wording import some
 from handfast.deploy.drive.preconditions import clock, older_mission, why
 from handfast.deploy.hosts import preflight, systemd_units
 from handfast.deploy.hosts.arrivals import Arrivals
-from handfast.deploy.hosts.bundle import plugin_modules, program_archive
+from handfast.deploy.hosts.bundle import program_archive
 from handfast.deploy.hosts.certificates import AnotherAuthorityError, HostKeys
 from handfast.deploy.hosts.connection import HostConnection, HostError
 from handfast.deploy.hosts.jobs import (

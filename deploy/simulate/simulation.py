@@ -6,6 +6,8 @@ about what a loopback link takes; the same fleet file and seed give the same byt
 
 Times are true time, the operator's. A robot's clock may be wrong on purpose
 (`agent.common.time.LocalTime`): its nodes get the time that it shows.
+
+The bodies of a fleet in virtual time: simulated ones, and what stands for vehicles.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from typing import Final
 
 from handfast.agent.common.time import NS_PER_MS, NS_PER_S, LocalTime
 from handfast.agent.core import Agent
+from handfast.agent.fleet import plants
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.orders import OrderSection
 from handfast.agent.formation.geometry import resolve
@@ -36,9 +39,35 @@ from handfast.deploy.drive.readiness import is_ready
 from handfast.deploy.faults.process_actions import Action, Process, actions
 from handfast.deploy.orders.mission_editing import OrderError
 from handfast.deploy.orders.operator import HEARD_NS, HEARTBEAT_PERIOD_NS, Operator, Order, refused
-from handfast.deploy.simulate import garbage, hangs
-from handfast.deploy.simulate.bodies import Bodies
+from handfast.deploy.simulate import guards
+from handfast.plant.backend import Begin, VirtualBody
 from handfast.plant.node import PlantNode
+
+
+class Bodies:
+    """Makes the bodies of `fleet`, and makes them again for plants that start again."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self._bodies: dict[int, VirtualBody] = {}
+
+    def make(self, robot: int, now_ns: int) -> VirtualBody:
+        """The body for a new plant of a robot, at `now_ns` by the robot's clock.
+
+        The first is where the fleet file has it. After that a simulated body stands where it was, at rest; a
+        simulated vehicle is the same one, which went on by itself, with a new bridge.
+        """
+        before = self._bodies.get(robot)
+        at = None if before is None else (before.pose.x, before.pose.y, before.pose.heading)
+        make = plants.attribute(self._fleet.robot(robot).kind.virtual)
+        body: VirtualBody = make(self._fleet, robot, Begin(now_ns, at, before))
+        self._bodies[robot] = body
+        return body
+
+    def there(self, robot: int) -> VirtualBody:
+        """The body that a robot has."""
+        return self._bodies[robot]
+
 
 LATENCY_NS: Final = 100_000
 LEASE_SHARE: Final = 0.9
@@ -486,7 +515,7 @@ class Simulation:
         `progress` is called with the fleet time (s, below 0 before the epoch) four times a second; when it
         returns False the run ends there.
         """
-        with garbage.seldom_looked_for(), hangs.ended(self.fleet) as came_on:
+        with guards.seldom_looked_for(), guards.ended(self.fleet) as came_on:
             self._run(progress, came_on)
 
     def _run(self, progress: Progress | None, came_on: Callable[[], None]) -> None:

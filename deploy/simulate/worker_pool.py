@@ -1,9 +1,11 @@
 """Worker processes for many runs: one run at a time each, ended when a run takes too long.
 
-`Engine` is what drives runs, `Pool` the one on this machine; `deploy.cluster` has that of many machines.
+An `Engine` drives runs: `Pool` on this machine, `deploy.sweep.cluster` on the workers of a Dask scheduler.
 
-A run that takes its process with it twice, or never ends, costs that run and nothing else: the process is
-replaced. The workers end with the process that started them, and with a worker what its runs have started.
+A run that kills its process twice, or never ends, costs that run and nothing else: the process is replaced.
+The workers end with the process that started them, and everything that their runs started ends with them.
+
+`SameProgram` makes sure that one program drives all runs of a campaign, from start to end.
 """
 
 from __future__ import annotations
@@ -15,14 +17,19 @@ import sys
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from types import ModuleType, TracebackType
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from handfast.agent.common.errors import Error
+from handfast.agent.runtime.version import handfast_version
+from handfast.deploy.console.data_files import ROOT
+from handfast.deploy.console.sources import files_of_plugins, sources_digest
 from handfast.deploy.processes.child import ONE_THREAD
 
 POLL_S: Final = 0.2
@@ -273,3 +280,86 @@ class Pool(Generic[T]):
     def _end(self, worker: _Worker) -> None:
         self._workers.remove(worker)
         worker.end()
+
+
+LIBRARIES: Final = ("numpy", "msgpack", "pymap3d", "pymavlink", "cryptography")
+"""Packages that take part in a run. Their versions must be the same everywhere."""
+SOURCES: Final = "sources"
+
+R = TypeVar("R")
+
+
+class ClusterError(Error):
+    """The cluster cannot be used; the text is one line."""
+
+
+def identity(plugins: Iterable[str] = ()) -> dict[str, str]:
+    """Return the versions by name, and a digest of our sources and of the `plugins` (`plugins_of`)."""
+    return {
+        "Python": f"{sys.version_info[0]}.{sys.version_info[1]}",
+        "handfast": handfast_version(),
+        **{name: _version(name) for name in LIBRARIES},
+        SOURCES: program_digest(plugins),
+    }
+
+
+def program_digest(plugins: Iterable[str]) -> str:
+    """Return 16 hex digits over our Python files and those of plugins.
+
+    A plugin counts with its top-level package or its file, but not with what that imports in turn.
+    """
+    return sources_digest(ROOT, files_of_plugins(plugins)[0])
+
+
+def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
+    """Say what differs between two identities; empty if nothing does."""
+    return ", ".join(
+        f"{name} {there.get(name, 'unknown')} instead of {value}"
+        for name, value in here.items()
+        if there.get(name) != value
+    )
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
+
+
+_checked: Final[list[Mapping[str, str]]] = []
+"""Programs that this process had before and after its first run, which imports the rest of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class SameProgram(Generic[R]):
+    """A `Work` that only the given program drives.
+
+    A worker imports what it needs when it starts and with its first run, and it may start late, to replace
+    one that died. So it compares the program before and after its first run.
+    """
+
+    work: Work[R]
+    program: Mapping[str, str]
+    plugins: tuple[str, ...]
+
+    def execute(self, number: int, go_on: GoOn) -> R:
+        """Drive a run of the work.
+
+        Raises:
+            Refused: the program is another one.
+        """
+        if self.program in _checked:
+            return self.work.execute(number, go_on)
+        self._compare()
+        result = self.work.execute(number, go_on)
+        self._compare()
+        _checked.append(self.program)
+        return result
+
+    def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> R:
+        return self.work.unfinished(number, reason, wall_s, timed_out=timed_out)
+
+    def _compare(self) -> None:
+        if text := differences(self.program, identity(self.plugins)):
+            raise Refused(f"the program is not the one that this command began with: {text}")

@@ -303,6 +303,25 @@ def curves(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure
     safe = panels.flat[len(each)]
     for axes in panels.flat[len(each) + 1 :]:
         axes.set_visible(False)
+    _draw_shares(safe, axis, x, cells)
+    for axes in panels.flat[len(each) - 1 : len(each) + 1]:  # below them is none
+        axes.set_xlabel(_unit_label(axis))
+        axes.tick_params(labelbottom=True)
+    if axis.numbers is None:
+        safe.set_xlim(-0.5, len(x) - 0.5)
+        for axes in panels.flat:
+            axes.set_xticks(x, [short(value) for value in axis.values], rotation=30 if len(x) > 5 else 0)
+    for margin in found:
+        if margin.largest is not None and margin.failed is not None:
+            for axes in panels.flat:
+                axes.axvspan(x[margin.good - 1], x[margin.good], color=_MARGIN, alpha=0.10, linewidth=0)
+            title = f"margin between {margin.largest} and {margin.failed} (red)"
+            figure.suptitle(title, x=0.99, ha="right", fontsize=8.0)
+    return figure
+
+
+def _draw_shares(safe: Axes, axis: Axis, x: Floats, cells: Sequence[Cell]) -> None:
+    """Draw the shares of runs that were safe and that settled, with their intervals."""
     aside = 0.06 if axis.numbers is None else 0.0  # bars must not lie on each other
     for name, shares, color, moved in (
         ("safe", [cell.safe for cell in cells], PALETTE[0], -aside),
@@ -315,21 +334,6 @@ def curves(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure
     safe.set_ylabel("share (%)")
     safe.set_ylim(0.0, 104.0)
     safe.legend(loc="best")
-    for axes in panels.flat[len(each) - 1 : len(each) + 1]:  # below them is none
-        axes.set_xlabel(_unit_label(axis))
-        axes.tick_params(labelbottom=True)
-    if axis.numbers is None:
-        safe.set_xlim(-0.5, len(x) - 0.5)
-        for axes in panels.flat:
-            axes.set_xticks(x, [short(value) for value in axis.values], rotation=30 if len(x) > 5 else 0)
-    for margin in found:
-        for axes in panels.flat if margin.largest is not None and margin.failed is not None else ():
-            axes.axvspan(x[margin.good - 1], x[margin.good], color=_MARGIN, alpha=0.10, linewidth=0)
-    if found and found[0].largest is not None and found[0].failed is not None:
-        figure.suptitle(
-            f"margin between {found[0].largest} and {found[0].failed} (red)", x=0.99, ha="right", fontsize=8.0
-        )
-    return figure
 
 
 def _draw_curve(axes: Axes, axis: Axis, x: Floats, cells: Sequence[Cell], one: Shown, *, few: bool) -> None:

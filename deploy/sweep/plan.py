@@ -11,21 +11,77 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from itertools import chain, product
-from math import prod, sqrt
+from math import cos, hypot, pi, prod, sin, sqrt
 from re import compile as pattern
 from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from handfast.agent.common import random_streams
 from handfast.agent.common.reader import Problem
 from handfast.agent.common.wording import printable, show
 from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
 from handfast.agent.fleet.model import Fleet, FleetError
-from handfast.agent.formation.geometry import resolved
-from handfast.deploy.simulate.random_starts import random_fleet
+from handfast.agent.formation.geometry import resolve, resolved
+from handfast.agent.formation.trajectory import make_trajectory
 from handfast.deploy.sweep.varied import Axis, Range, SweepError, entry_of, parse_over
 
 if TYPE_CHECKING:
     from handfast.deploy.check.finding import Finding
+
+
+ATTEMPTS_MAX = 1000  # per robot: a square that is too full is an error, not an endless search
+
+
+def random_fleet(
+    base: Fleet, seed: int, side_m: float = 4.0, gap_m: float = 0.3, *, assign: bool = True
+) -> Fleet:
+    """`base` with other starts, resolved: robots at rest, their formation turned at random.
+
+    Hand points are uniform in a square of `side_m` round the start of the trajectory, each at least
+    `gap_m` from the others; headings are uniform. `assign` gives every robot the slot near it.
+
+    Raises:
+        ValueError: the square has no room for so many robots.
+    """
+    generator = np.random.default_rng([seed, len(base.robots)])
+    geometry = resolve(base)
+    angle = generator.uniform(-pi, pi)
+    turn = np.array(((cos(angle), -sin(angle)), (sin(angle), cos(angle))))
+    centre = make_trajectory(base.trajectory).at(0.0)[:2]
+    hands: list[tuple[float, float]] = []
+    for _ in base.robots:
+        for _ in range(ATTEMPTS_MAX):
+            x, y = generator.uniform(-0.5 * side_m, 0.5 * side_m, 2).tolist()
+            if all(hypot(x - other_x, y - other_y) >= gap_m for other_x, other_y in hands):
+                hands.append((x, y))
+                break
+        else:
+            raise ValueError(
+                f"no room for {len(base.robots)} robots {gap_m} m apart in a square of {side_m} m"
+            )
+    robots = []
+    for robot, (x, y) in zip(base.robots, hands, strict=True):
+        heading = generator.uniform(-pi, pi)
+        robots.append(
+            replace(
+                robot,
+                x_m=centre[0] + x - robot.hand_offset_m * cos(heading),
+                y_m=centre[1] + y - robot.hand_offset_m * sin(heading),
+                heading_rad=heading,
+            )
+        )
+    ids = geometry.ids
+    formation = replace(
+        base.formation,
+        offsets=tuple((float(x), float(y)) for x, y in geometry.offsets @ turn.T),
+        edges=tuple((ids[i], ids[j]) for i, j in geometry.edges.tolist()),
+        distance_m=tuple(geometry.distances.tolist()),
+        assign=assign,
+    )
+    section = replace(base.fleet, seed=seed)
+    return resolved(replace(base, fleet=section, formation=formation, robots=tuple(robots)))
+
 
 RUNS_MAX: Final = 1_000_000
 RANGES_MAX: Final = 6
@@ -212,29 +268,15 @@ def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
     texts: list[str] = []
     extremes: list[tuple[Fleet, ...]] = []
     for values in product(*(axis.values for axis in question.axes)):
-        fleets: list[Fleet] = []
-        for ends in product(*(each.ends for each in question.ranges)):
-            varied = zip(question.varied, (*values, *ends), strict=True)
-            given = [f"{each.field}={value}" for each, value in varied]
-            overrides = [*question.overrides, *given]
-            try:
-                fleet = parse_fleet(
-                    question.text,
-                    source=question.source,
-                    overrides=overrides,
-                    law=question.law,
-                    recorded=recorded_digest is not None,
-                )
-                fleets.append(resolved(fleet))
-                if len(fleets) == 1:
-                    assign.append(fleet.formation.assign or not chosen)
-                    texts += [_written(fleet)] if question.ranges else []
-            except FleetError as error:
-                found.add((*values, *ends), error.problems)
-            except ValueError as error:
-                found.add((*values, *ends), [Problem("", str(error))])
-        cells += fleets[:1]
-        extremes += [tuple(fleets[1:])] if question.ranges else []
+        fleets = _cell_fleets(question, values, found, recorded=recorded_digest is not None)
+        if found.count:
+            continue  # to find all problems of all cells
+        (first, resolved_first), *others = fleets
+        cells.append(resolved_first)
+        assign.append(first.formation.assign or not chosen)
+        if question.ranges:
+            texts.append(_written(first))
+            extremes.append(tuple(each for _, each in others))
     if found.count:
         raise FleetError(question.source, found.problems())
     side_m = question.random_starts
@@ -253,6 +295,33 @@ def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
         tuple(texts),
         tuple(extremes),
     )
+
+
+def _cell_fleets(
+    question: Question, values: tuple[str, ...], found: _Problems, *, recorded: bool
+) -> list[tuple[Fleet, Fleet]]:
+    """Read the fleets of a cell, one for each combination of the ends of what is drawn.
+
+    Returns each as it was read and resolved. Problems go to `found`.
+    """
+    fleets = []
+    for ends in product(*(each.ends for each in question.ranges)):
+        varied = zip(question.varied, (*values, *ends), strict=True)
+        overrides = [*question.overrides, *(f"{each.field}={value}" for each, value in varied)]
+        try:
+            fleet = parse_fleet(
+                question.text,
+                source=question.source,
+                overrides=overrides,
+                law=question.law,
+                recorded=recorded,
+            )
+            fleets.append((fleet, resolved(fleet)))
+        except FleetError as error:
+            found.add((*values, *ends), error.problems)
+        except ValueError as error:
+            found.add((*values, *ends), [Problem("", str(error))])
+    return fleets
 
 
 def check_cells(plan: Plan) -> list[tuple[Finding, list[int]]]:

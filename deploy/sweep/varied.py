@@ -134,8 +134,29 @@ def _is_range(value: str) -> bool:
 
 
 def _range(name: str, written: str, entry: Entry | None) -> Range:
-    """The range of a field that is written so; `entry` is the field, None of one that is not known."""
+    """Read the range of a field; `entry` is the field, None if it is not known."""
     said = printable(f"--over {name}={written}")
+    ends = _ends(said, written)
+    parse = entry.setting.parse if entry is not None else None
+    if entry is None:
+        numbers, unit = _numbers(name.split("."), ends)
+    elif parse is not None:
+        numbers, unit = _accepted(said, parse, ends)
+    else:
+        numbers, unit = _plain_numbers(said, entry, ends)
+    if numbers is None:
+        raise SweepError(f"{said}: its ends must be numbers of one unit")
+    whole = entry is not None and parse is None and _number_types(entry) == {int}
+    if whole:
+        numbers = _whole_numbers(said, ends, numbers)
+    if not numbers[0] < numbers[1]:
+        raise SweepError(f"{said}: the range must begin below its end, such as 0..1.4s")
+    typed = None if parse is None else ends
+    return Range(name, numbers[0], numbers[1], unit, written, whole, typed)
+
+
+def _ends(said: str, written: str) -> tuple[str, str]:
+    """Split a range into its ends. A unit behind the second is that of both."""
     low, _, high = (part.strip() for part in written.partition(".."))
     if "..." in written:
         raise SweepError(f"{said}: a range has two dots, not three; write 0..0.8s for up to 0.8 s")
@@ -143,41 +164,33 @@ def _range(name: str, written: str, entry: Entry | None) -> Range:
         raise SweepError(f"{said}: a range needs both ends, such as 0..1.4s")
     if number(low, "") is not None and (match := _NUMBER.fullmatch(high)) is not None:
         low += match["unit"] or ""  # 10..50% is 10 % to 50 %
-    ends = low, high
-    if entry is None:
-        numbers, unit = _numbers(name.split("."), ends)
-    elif entry.setting.parse is not None:
-        numbers, unit = _accepted(said, entry.setting.parse, ends)
-    else:
-        unit = entry.setting.unit or ""
-        found = [number(end, unit) for end in ends]
-        numbers = [value for value in found if value is not None]
-        if len(numbers) < len(ends):
-            known = f" or end in one of {', '.join(UNITS[unit].suffixes)}" if unit in UNITS else ""
-            of = describe(entry.hint, entry.setting.unit)
-            raise SweepError(f"{said}: its ends must be plain numbers{known}, as the field is {of}")
-    if numbers is None:
-        raise SweepError(f"{said}: its ends must be numbers of one unit")
-    whole = entry is not None and entry.setting.parse is None and _number_types(entry) == {int}
-    if whole:
-        if not all(value.is_integer() for value in numbers):
-            raise SweepError(f"{said}: the field takes whole numbers only, so its ends must be such, as 0..5")
-        numbers = [_whole(end, value) for end, value in zip(ends, numbers, strict=True)]
-    if not numbers[0] < numbers[1]:
-        raise SweepError(f"{said}: the range must begin below its end, such as 0..1.4s")
-    typed = (low, high) if entry is not None and entry.setting.parse is not None else None
-    return Range(name, numbers[0], numbers[1], unit, written, whole, typed)
+    return low, high
 
 
-def _whole(text: str, value: float) -> int:
-    """A whole number as it was typed: of one above 2^53 a float has not all digits."""
-    try:
-        return int(text)
-    except ValueError:
-        return int(value)
+def _plain_numbers(said: str, entry: Entry, ends: Sequence[str]) -> tuple[list[float], str]:
+    """Return the ends of a range in the unit of a field that is a number, and that unit."""
+    unit = entry.setting.unit or ""
+    found = [value for end in ends if (value := number(end, unit)) is not None]
+    if len(found) < len(ends):
+        known = f" or end in one of {', '.join(UNITS[unit].suffixes)}" if unit in UNITS else ""
+        of = describe(entry.hint, entry.setting.unit)
+        raise SweepError(f"{said}: its ends must be plain numbers{known}, as the field is {of}")
+    return found, unit
 
 
-def _accepted(said: str, parse: Callable[[object], object], ends: Sequence[str]) -> tuple[list[float], str]:
+def _whole_numbers(said: str, ends: Sequence[str], values: Sequence[float]) -> list[float]:
+    """Return whole numbers as they were typed: a float does not hold all digits of one above 2^53."""
+    if not all(value.is_integer() for value in values):
+        raise SweepError(f"{said}: the field takes whole numbers only, so its ends must be such, as 0..5")
+    return [
+        int(end) if re.fullmatch(r"[+-]?\d+", end) else int(value)
+        for end, value in zip(ends, values, strict=True)
+    ]
+
+
+def _accepted(
+    said: str, parse: Callable[[object], object], ends: Sequence[str]
+) -> tuple[list[float] | None, str]:
     """The ends of a range in the one unit of a field with a class of its own, and this unit.
 
     What is accepted is for the class to say: only it knows that a delay is no number of metres. What is no
@@ -188,8 +201,6 @@ def _accepted(said: str, parse: Callable[[object], object], ends: Sequence[str])
         wrong = _refused(parse, end if number(end, "") is None else float(end))
         if wrong and (numbers is None or not _refused(parse, numbers[place])):
             raise SweepError(f"{said}: {printable(wrong)}")
-    if numbers is None:
-        raise SweepError(f"{said}: its ends must be numbers of one unit")
     return numbers, unit
 
 
@@ -228,14 +239,19 @@ def parse_axis(text: str) -> Axis:
     if numbers is not None:
         order = sorted(range(len(values)), key=numbers.__getitem__)
         values, numbers = [values[k] for k in order], [numbers[k] for k in order]
+    _refuse_twice(name, values, values if numbers is None else numbers)
+    return Axis(name, tuple(values), None if numbers is None else tuple(numbers), unit)
+
+
+def _refuse_twice(name: str, values: Sequence[str], meanings: Sequence[object]) -> None:
+    """Refuse values that mean the same."""
     same: dict[object, str] = {}
-    for value, meaning in zip(values, values if numbers is None else numbers, strict=True):
+    for value, meaning in zip(values, meanings, strict=True):
         if meaning in same:
             first = same[meaning]
             again = f"{value} twice" if first == value else f"{first} and {value}, which are the same"
             raise SweepError(f"--over {name}: gives {printable(again)}")
         same[meaning] = value
-    return Axis(name, tuple(values), None if numbers is None else tuple(numbers), unit)
 
 
 def _split(text: str) -> list[str]:

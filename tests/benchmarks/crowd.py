@@ -18,10 +18,9 @@ from handfast.agent.formation.geometry import resolve
 from handfast.deploy.analysis.analysis import analyse
 from handfast.deploy.analysis.balance import caught
 from handfast.deploy.console.arguments import fleet_path, fleet_text
-from handfast.deploy.simulate import judged
 from handfast.deploy.simulate.worker_pool import GoOn
 from handfast.deploy.sweep.plan import Plan, Question, make_plan
-from handfast.deploy.sweep.run import Row, Runs, execute
+from handfast.deploy.sweep.run import Row, Runs, drive, execute
 from tests.benchmarks import arrival
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.random_starts import HEADING, line
@@ -70,7 +69,7 @@ class Told:
 
 def why(fleet: Fleet, go_on: GoOn) -> str:
     """What keeps a formation from its shape at the end, and which robots: drives it once more."""
-    recording = judged.drive(fleet, go_on)
+    recording = drive(fleet, go_on)
     a = analyse(recording, resolve(fleet))
     off = int(a.off[-1].sum())
     shape = "at rest in another shape" if caught(a, fleet) else "on its way"

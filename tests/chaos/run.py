@@ -20,8 +20,8 @@ from handfast.deploy.processes.placement import place
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.report.run_folder import RunFolder
-from handfast.deploy.simulate.judged import drive as simulate
 from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.deploy.sweep.run import drive as simulate
 from handfast.deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
 from handfast.deploy.verdict.run_result import RunResult
 from handfast.deploy.verdict.violations import Violation

@@ -15,7 +15,7 @@ from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.formation.geometry import resolve, resolved
 from handfast.deploy.analysis.analysis import Analysis, analyse
 from handfast.deploy.console.arguments import fleet_path, fleet_text, scenario_path
-from handfast.deploy.simulate import judged
+from handfast.deploy.sweep import run
 from handfast.deploy.sweep.plan import Question, make_plan
 from handfast.deploy.sweep.run import execute
 from handfast.deploy.sweep.varied import parse_axis
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.long
 def driven(scenario: str) -> Analysis:
     """The delta, driven."""
     fleet = resolved(load_fleet(fleet_path("delta"), scenario=scenario_path(scenario)))
-    return analyse(judged.drive(fleet), resolve(fleet))
+    return analyse(run.drive(fleet), resolve(fleet))
 
 
 def nearest_m(a: Analysis, since_s: float) -> float:

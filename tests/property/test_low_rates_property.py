@@ -17,7 +17,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve, resolved
 from handfast.deploy.analysis.analysis import analyse
 from handfast.deploy.check.check import check
-from handfast.deploy.simulate import judged
+from handfast.deploy.sweep import run
 
 TICKS = 160
 SHAPES: Mapping[int, tuple[list[list[float]], list[list[int]]]] = {
@@ -82,7 +82,7 @@ def drawn(seed: int, low_hz: float = 1.0, high_hz: float = 100.0) -> Fleet:
 
 def fastest(fleet: Fleet) -> float:
     """Largest speed of a hand in a drive, as a share of the limit; inf where a body was driven to bits."""
-    recording = judged.drive(resolved(fleet))
+    recording = run.drive(resolved(fleet))
     a = analyse(recording, resolve(recording.fleet))
     steps = np.diff(a.hands, axis=0)
     speeds = np.hypot(steps[..., 0], steps[..., 1]) / np.diff(a.grid)[:, None]
@@ -136,7 +136,7 @@ def test_a_gain_of_one_in_a_period_is_the_limit_of_the_sampled_loop(c2: float, g
     )
     places = {each.place for each in check(alone) if each.level == "error"}
     assert ("fleet.rate_hz" in places) == grows
-    recording = judged.drive(resolved(alone))
+    recording = run.drive(resolved(alone))
     a = analyse(recording, resolve(recording.fleet))
     assert a.hands[0, 0, 1] == pytest.approx(-0.2, abs=1e-3)
     assert (abs(a.hands[-1, 0, 1]) > 0.2) == grows

@@ -17,7 +17,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.simulate.judged import drive
+from handfast.deploy.sweep.run import drive
 
 SILENT, FOLLOWERS = 1, (2, 3)
 SILENT_S, UNTIL_S, DURATION_S = 8.0, 44.0, 50.0

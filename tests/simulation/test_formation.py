@@ -22,8 +22,8 @@ from handfast.agent.node import Node
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.analysis import fleet_law
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.simulate.random_starts import random_fleet
 from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.sweep.plan import random_fleet
 from handfast.plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace, drive, drive_until_settled
 

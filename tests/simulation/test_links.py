@@ -16,8 +16,8 @@ from handfast.agent.impairments.impairments import Delay
 from handfast.agent.impairments.loss_models import Loss
 from handfast.deploy.console.arguments import fleet_path
 from handfast.deploy.console.data_files import SCENARIOS
-from handfast.deploy.simulate import judged
-from handfast.deploy.simulate.random_starts import random_fleet
+from handfast.deploy.sweep import run
+from handfast.deploy.sweep.plan import random_fleet
 from handfast.deploy.verdict.run_result import RunResult
 from tests.benchmarks.swaps import swap
 from tests.hand_trace import Floats, drive
@@ -70,7 +70,7 @@ def ring(faults: str, control: str = "", duration_s: float = 30.0) -> Fleet:
 
 @pytest.mark.parametrize("delay", ["700ms", "1s"])
 def test_without_prediction_robots_are_kept_from_where_the_others_are_by_now(delay: str):
-    closest = RunResult(judged.drive(ring(f'delay = "{delay}"', "prediction = false", 8.0))).analysis.closest
+    closest = RunResult(run.drive(ring(f'delay = "{delay}"', "prediction = false", 8.0))).analysis.closest
     assert closest is not None
     assert closest.distance_m > SAFE_M
 
@@ -91,7 +91,7 @@ def test_messages_that_come_in_bursts_are_not_silence(slot: str):
 @pytest.mark.parametrize(("late", "duration_s"), [("500ms", 60.0), ("1s", 120.0)])
 def test_who_has_to_make_way_for_others_goes_slowly_where_messages_are_late(late: str, duration_s: float):
     """Six robots through one point: who turns aside is not where the others expect it."""
-    result = RunResult(judged.drive(ring(f'delay = "{late}", loss = "50%"', duration_s=duration_s)))
+    result = RunResult(run.drive(ring(f'delay = "{late}", loss = "50%"', duration_s=duration_s)))
     closest = result.analysis.closest
     assert closest is not None
     assert closest.distance_m > SAFE_M
@@ -104,7 +104,7 @@ def test_who_has_to_make_way_for_others_goes_slowly_where_messages_are_late(late
 def test_twelve_robots_cross_a_circle_though_half_of_the_late_messages_is_lost(seed: int):
     fleet = swap(12, 3.0, 60.0, edges=False, seed=seed)
     late = FaultsSection(delay=Effect(Delay.parse("1s")), loss=Effect(Loss.parse("50%")))
-    closest = RunResult(judged.drive(replace(fleet, faults=late))).analysis.closest
+    closest = RunResult(run.drive(replace(fleet, faults=late))).analysis.closest
     assert closest is not None
     assert closest.distance_m > SAFE_M
 
@@ -157,6 +157,6 @@ def test_random_starts_on_bad_links(seed: int, links: tuple[str, ...], final_mm:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_starts_on_bad_links_with_jitter_and_noise(seed: int):
     fleet = random_fleet(delta("fleet.duration_s=25", *BAD, *NOISE, scenario="jitter"), seed)
-    found = RunResult(judged.drive(fleet)).metrics  # between poses: with jitter each robot has its own times
+    found = RunResult(run.drive(fleet)).metrics  # between poses: with jitter each robot has its own times
     assert found["min_distance_m"]["any"] > SAFE_M
     assert found["settling_time_s"] < 15.0

@@ -13,7 +13,7 @@ from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.simulate import judged
+from handfast.deploy.sweep import run
 from handfast.deploy.verdict.run_result import RunResult
 from tests.hand_trace import Floats, Trace, drive
 from tests.simulation import closed_loop
@@ -66,7 +66,7 @@ def test_closest_pair_of_an_edge_is_the_one_at_the_start():
 
 def test_the_verdict_names_the_pair_without_an_edge_that_the_law_lets_collide():
     fleet = delta(50)
-    result = RunResult(judged.drive(replace(fleet, fleet=replace(fleet.fleet, duration_s=3))))
+    result = RunResult(run.drive(replace(fleet, fleet=replace(fleet.fleet, duration_s=3))))
     assert result.reasons[0].startswith("Robots 1 and 6, which share no edge, came within 0.018 m")
     assert result.metrics["min_distance_m"]["any"] == pytest.approx(0.018, abs=1e-3)
     assert result.metrics["min_distance_m"]["edge"] == pytest.approx(0.301, abs=1e-3)

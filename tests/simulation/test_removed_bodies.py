@@ -14,8 +14,8 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import PlantState
 from handfast.deploy.orders.mission_editing import OrderError
-from handfast.deploy.simulate import judged
 from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.sweep import run
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.orders.order_fleets import order
 
@@ -129,7 +129,7 @@ def test_who_starts_again_learns_which_bodies_are_gone() -> None:
 def test_a_run_in_which_a_body_was_removed_passes() -> None:
     """The verdict counts no collision with what had been carried off."""
     fleet = resolved(parse_fleet(FIELD + DEAD + REMOVED, source="here"))
-    result = RunResult(judged.drive(fleet))
+    result = RunResult(run.drive(fleet))
     assert result.reasons == []
     assert result.analysis.closest is not None
     assert result.analysis.closest.distance_m > SAFE_M

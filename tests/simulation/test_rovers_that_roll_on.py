@@ -20,8 +20,8 @@ from handfast.agent.fleet.loading import load_fleet, parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.simulate.judged import drive as simulate
 from handfast.deploy.simulate.simulation import Simulation
+from handfast.deploy.sweep.run import drive as simulate
 from handfast.plant.backend import VirtualBody
 from tests.chaos.run import drive
 from tests.rover_drive import driven

@@ -16,7 +16,7 @@ import pytest
 from handfast.agent.common.quantities import Vector
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolved
-from handfast.deploy.simulate.judged import drive
+from handfast.deploy.sweep.run import drive
 from handfast.deploy.verdict.run_result import RunResult
 from tests.chaos.dice import Dice, Tables
 from tests.chaos.text import scenario_text

@@ -13,7 +13,7 @@ from handfast.agent.formation.geometry import resolve, resolved
 from handfast.deploy.analysis.analysis import Analysis, analyse
 from handfast.deploy.console.arguments import fleet_path, fleet_text
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.simulate import judged
+from handfast.deploy.sweep import run
 from handfast.deploy.sweep.plan import Question, make_plan
 from tests.benchmarks.arrival import drive
 from tests.benchmarks.crowd import ACROSS, SIDE_M, field
@@ -49,7 +49,7 @@ def scene(starts, places, edges="", *, faults="", speed=0.0, duration_s=40, rese
 
 
 def driven(fleet: Fleet) -> tuple[Recording, Analysis]:
-    recording = judged.drive(fleet)
+    recording = run.drive(fleet)
     return recording, analyse(recording, resolve(fleet))
 
 

@@ -23,10 +23,10 @@ from handfast.deploy.console.arguments import (
 )
 
 if TYPE_CHECKING:
-    from handfast.deploy.cluster.campaign import Resources
     from handfast.deploy.console.interrupt import Interrupt
     from handfast.deploy.sweep.folder import SweepFolder
     from handfast.deploy.sweep.plan import Plan, Question
+    from handfast.deploy.sweep.run import Resources
     from handfast.deploy.sweep.summary import Cell, Margin
 
 TIMEOUT: Final = "10min"
@@ -97,14 +97,13 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
-    from handfast.deploy.cluster.campaign import Resources
-    from handfast.deploy.cluster.program import program_digest
     from handfast.deploy.console.interrupt import NOT_STARTED, Interrupt
-    from handfast.deploy.hosts.bundle import plugins_of
+    from handfast.deploy.console.sources import plugins_of
     from handfast.deploy.inventory.own_orders import out_folder
-    from handfast.deploy.simulate.worker_pool import EngineLost
+    from handfast.deploy.simulate.worker_pool import EngineLost, program_digest
     from handfast.deploy.sweep.folder import SweepFolder, read_digest
     from handfast.deploy.sweep.plan import make_plan
+    from handfast.deploy.sweep.run import Resources
     from handfast.deploy.sweep.summary import margin_axis
 
     interrupt = Interrupt()
@@ -249,9 +248,9 @@ def _drive(
     folder: SweepFolder, resources: Resources, interrupt: Interrupt, options: argparse.Namespace
 ) -> None:
     """Drive the missing runs until all are done or Ctrl-C is pressed."""
-    from handfast.deploy.cluster.program import identity
     from handfast.deploy.console.progress import make_progress
-    from handfast.deploy.hosts.bundle import plugins_of
+    from handfast.deploy.console.sources import plugins_of
+    from handfast.deploy.simulate.worker_pool import identity
     from handfast.deploy.sweep.run import Runs
 
     missing, plan = folder.missing, folder.plan

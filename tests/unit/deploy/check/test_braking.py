@@ -13,7 +13,7 @@ from handfast.deploy.check.braking import check_braking
 from handfast.deploy.check.check import check
 from handfast.deploy.check.finding import Finding
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.simulate import judged
+from handfast.deploy.sweep import run
 from tests.unit.agent.fleet.fleet_texts import small
 
 SLOW = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
@@ -132,7 +132,7 @@ def test_places_between_which_one_cannot_follow_another() -> None:
 
 def test_the_pair_that_is_warned_of_drives_so_far_apart() -> None:
     fleet = places(0.32, "fleet.duration_s=25")
-    a = analyse(judged.drive(fleet), resolve(fleet))
+    a = analyse(run.drive(fleet), resolve(fleet))
     assert float(a.distances[-1, 0]) == pytest.approx(0.37, abs=1e-3)
 
 
@@ -150,7 +150,7 @@ def test_places_between_which_one_that_stands_suddenly_is_heard_of_too_late() ->
     for apart, is_safe in ((1.15, False), (1.6, True)):
         fleet = suddenly(apart)
         assert ("faults.delay" not in room(fleet)) == is_safe
-        closest = analyse(judged.drive(fleet), resolve(fleet)).closest
+        closest = analyse(run.drive(fleet), resolve(fleet)).closest
         assert closest is not None
         assert (closest.distance_m > 0.4) == is_safe
 

@@ -22,9 +22,9 @@ from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.tables import Table
-from handfast.deploy.simulate import judged
 from handfast.deploy.simulate.simulation import Simulation
 from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.deploy.sweep import run as run_module
 from handfast.deploy.sweep.figures import PANELS_MAX, write_sweep_figures
 from handfast.deploy.sweep.folder import SweepFolder, read_question
 from handfast.deploy.sweep.plan import Plan, Question, make_plan
@@ -215,7 +215,7 @@ def everything(fleet: Any) -> RunResult:
 def test_a_run_is_measured_as_simulate_measures_it(more: tuple[str, ...]) -> None:
     plan = make_plan(ask(fleet="pair", overrides=("fleet.duration_s=3", *more), repeat=2))
     fleet = plan.fleet(1)
-    wanted, found = everything(fleet), RunResult(judged.drive(fleet))
+    wanted, found = everything(fleet), RunResult(run_module.drive(fleet))
     for name, (metric, _) in columns().items():
         assert metric.value(found) == metric.value(wanted), name
     assert found.reasons == wanted.reasons
@@ -251,8 +251,8 @@ def test_robots_without_an_edge_count_as_well(monkeypatch: pytest.MonkeyPatch) -
         other = replace(four, plant=Table(four.plant.names, four.plant.t, values))
         return replace(recording, robots={**recording.robots, 4: other})
 
-    real = judged.drive
-    monkeypatch.setattr(judged, "drive", met)
+    real = run_module.drive
+    monkeypatch.setattr(run_module, "drive", met)
     row = execute(make_plan(ask(overrides=(SHORT,))), 0)
     assert (row.safe, row.verdict) == (False, FAILED)
     assert row.reason.startswith("Robots 1 and 4, which share no edge, came within 0.000 m")
@@ -274,7 +274,7 @@ def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch, kind: type[
     def broken(*_: object) -> None:
         raise kind("some\nthing")
 
-    monkeypatch.setattr(judged, "Simulation", broken)
+    monkeypatch.setattr(run_module, "Simulation", broken)
     row = execute(make_plan(ask(repeat=2)), 1)
     assert (row.run, row.verdict, row.safe, row.settled, row.numbers) == (1, CRASHED, None, None, {})
     assert row.reason.startswith(f"{kind.__name__}: some thing (test_plan.py, line ")

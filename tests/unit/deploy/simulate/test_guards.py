@@ -1,9 +1,10 @@
-"""handfast.deploy.simulate.hangs: a law or a plant that never returns in mid-drive ends as a fault of its
-robot."""
+"""Guards around a drive: a plugin that never returns becomes a fault, and the collector is left as it was."""
 
 from __future__ import annotations
 
+import gc
 import signal
+import weakref
 from collections.abc import Iterator
 
 import pytest
@@ -12,7 +13,8 @@ import handfast
 from handfast import Command, Law, Moment, Plant, Pose, Reading, Setup
 from handfast.agent.common import plugins
 from handfast.deploy.analysis import patience
-from handfast.deploy.simulate import hangs
+from handfast.deploy.simulate import guards
+from handfast.deploy.simulate.guards import OBJECTS, seldom_looked_for
 
 
 class LoopLaw(Law):
@@ -37,7 +39,7 @@ class LoopPlant(Plant):
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(patience, "ANSWER_S", 0.3)
-    monkeypatch.setattr(hangs, "_LOOK_S", 0.1)
+    monkeypatch.setattr(guards, "_LOOK_S", 0.1)
     yield
     plugins._registered.clear()
 
@@ -60,11 +62,11 @@ def test_a_plant_that_hangs_is_not_asked_again() -> None:
 
 
 def test_what_is_slow_and_no_code_of_others_is_left_alone() -> None:
-    assert not hangs._is_in_a_call(None)
+    assert not guards._is_in_a_call(None)
     seen: list[bool] = []
 
     def look(_number: int, frame: object) -> None:
-        seen.append(hangs._is_in_a_call(frame))  # type: ignore[arg-type]
+        seen.append(guards._is_in_a_call(frame))  # type: ignore[arg-type]
 
     before = signal.signal(signal.SIGALRM, look)
     try:
@@ -73,3 +75,62 @@ def test_what_is_slow_and_no_code_of_others_is_left_alone() -> None:
     finally:
         signal.signal(signal.SIGALRM, before)
     assert seen == [False, True]
+
+
+@pytest.fixture(autouse=True)
+def _restored() -> Iterator[None]:
+    before = gc.get_threshold()
+    gc.unfreeze()  # what tests before this one have frozen
+    yield
+    gc.set_threshold(*before)
+    gc.unfreeze()
+
+
+def test_it_is_as_it_was_afterwards_whatever_happens() -> None:
+    def drive() -> None:
+        with seldom_looked_for():
+            assert gc.get_threshold() == (OBJECTS, 7, 8)
+            assert gc.get_freeze_count() > 0
+            raise KeyError
+
+    gc.set_threshold(500, 7, 8)
+    with pytest.raises(KeyError):
+        drive()
+    assert gc.get_threshold() == (500, 7, 8)
+    assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize("objects", [0, 10 * OBJECTS])
+def test_who_has_it_look_less_often_or_never_keeps_that(objects: int) -> None:
+    gc.set_threshold(objects, 7, 8)
+    with seldom_looked_for():
+        assert gc.get_threshold() == (objects, 7, 8)
+
+
+def test_what_others_have_frozen_stays_so() -> None:
+    gc.freeze()
+    with seldom_looked_for():
+        pass
+    assert gc.get_freeze_count() > 0
+
+
+class _Node:
+    """One of those that a drive is made of: they know each other."""
+
+    def __init__(self) -> None:
+        self.other = self
+
+
+def test_what_a_drive_was_made_of_is_gone_when_the_next_begins() -> None:
+    """Whoever drives thousands of runs does not grow with each."""
+    gc.disable()
+    try:
+        with seldom_looked_for():
+            node = _Node()
+            left = weakref.ref(node)
+        del node
+        assert left() is not None, "nobody has looked"
+        with seldom_looked_for():
+            assert left() is None
+    finally:
+        gc.enable()

@@ -12,10 +12,16 @@ import distributed
 import pytest
 
 from handfast.agent.common.errors import Error
-from handfast.deploy.cluster import engine
-from handfast.deploy.cluster.engine import Campaign, Cluster, SentWork, Unfinished
-from handfast.deploy.cluster.program import ClusterError, identity
-from handfast.deploy.simulate.worker_pool import Abandoned, EngineLost, PoolError, Refused
+from handfast.deploy.simulate.worker_pool import (
+    Abandoned,
+    ClusterError,
+    EngineLost,
+    PoolError,
+    Refused,
+    identity,
+)
+from handfast.deploy.sweep import cluster as engine
+from handfast.deploy.sweep.cluster import Campaign, Cluster, SentWork, Unfinished
 
 
 class Doubles:

@@ -12,16 +12,11 @@ import pytest
 
 from handfast.agent.common import plugins
 from handfast.agent.fleet.loading import load_fleet
+from handfast.deploy.console import sources as module
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.hosts import bundle as module
+from handfast.deploy.console.sources import PluginFilesError, plugin_files, plugin_modules
 from handfast.deploy.hosts import remote_program
-from handfast.deploy.hosts.bundle import (
-    PLUGINS,
-    PluginFilesError,
-    plugin_files,
-    plugin_modules,
-    program_archive,
-)
+from handfast.deploy.hosts.bundle import PLUGINS, program_archive
 from handfast.plant.backend import Plant
 
 PLANT = "from handfast import Plant\n\n\nclass Mine(Plant):\n    pass\n"

@@ -1,8 +1,7 @@
 """Drive the runs of a campaign on the workers of a Dask scheduler. Each run is one Dask task.
 
 The worker's thread does not drive the run itself. It watches a process that does
-(`deploy.simulate.worker_pool`), so that a run that dies or hangs becomes a row, as on one machine.
-"""
+(`deploy.simulate.worker_pool`), so that a run that dies or hangs becomes a row, as on one machine."""
 
 from __future__ import annotations
 
@@ -27,17 +26,19 @@ from distributed.versions import VersionMismatchWarning
 
 from handfast.agent.common.errors import Error
 from handfast.agent.common.wording import printable
-from handfast.deploy.cluster.program import ClusterError, differences, identity
 from handfast.deploy.console.wording import error_text
 from handfast.deploy.simulate.worker_pool import (
     POLL_S,
     Abandoned,
+    ClusterError,
     EngineLost,
     GoOn,
     Pool,
     PoolError,
     Refused,
     Work,
+    differences,
+    identity,
 )
 
 CONNECT_S: Final = 10.0

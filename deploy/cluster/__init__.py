@@ -1,1 +1,0 @@
-"""Campaigns beyond this machine: runs of a sweep on the workers of a Dask cluster."""
