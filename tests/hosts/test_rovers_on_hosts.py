@@ -51,7 +51,7 @@ def tables(hosts: Sequence[Host]) -> dict[str, Any]:
     """The first three robots of the bundled fleet, near their places."""
     raw = tomllib.loads((FLEETS / f"{NAME}.toml").read_text(encoding="utf-8"))
     raw["host"] = {host.name: {"address": host.address} for host in hosts}
-    raw["fleet"]["duration_s"] = 32.0
+    raw["fleet"]["duration_s"] = 40.0
     raw["formation"] |= {
         "edges": [[1, 2], [1, 3], [2, 3]],
         "distance_m": DISTANCE_M,

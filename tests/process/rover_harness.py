@@ -1,4 +1,4 @@
-"""Fleets of simulated rovers as real processes, and a router before one, whose links can be cut."""
+"""Fleets of simulated rovers as real processes, and a router before one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,12 +61,10 @@ class Router:
 
     Attributes:
         setpoints: counts by sender the setpoints that went to the vehicle.
-        cut: nothing passes while it is True.
     """
 
     def __init__(self, port: int, to: Sequence[int]) -> None:
         self.setpoints: Counter[tuple[int, int]] = Counter()
-        self.cut = False
         self._near = socket.socket(type=socket.SOCK_DGRAM)
         self._near.bind((ADDRESS, port))
         self._far = [(socket.socket(type=socket.SOCK_DGRAM), (ADDRESS, each)) for each in to]
@@ -91,8 +88,6 @@ class Router:
                     data, sender = here.recvfrom(65_536)
                 except ConnectionRefusedError:
                     continue  # nobody was there for the last one
-                if self.cut:
-                    continue
                 if here is self._near:
                     peer = sender
                 elif peer is not None:
@@ -202,9 +197,3 @@ def rovers(
         if extra is not None:
             extra.close()
         placed.ports.close()
-
-
-def cold(each: Vehicle, boot_s: float) -> Vehicle:
-    """The vehicle, switched on anew and handed over by nobody."""
-    kept = [argument for argument in each.arguments if argument not in ("--warm", "--hand-over")]
-    return replace(each, arguments=(*kept, f"--boot={boot_s:g}"))
