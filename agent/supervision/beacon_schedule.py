@@ -137,6 +137,16 @@ class BeaconSchedule:
             beacon, completed = completed(beacon), None
         if not self.is_seldom:
             return beacon
+        self._shorten_pause(beacon, hurries=hurries, near=near)
+        if not timer.is_due(now_ns, max(self.tick_ns, timer.least_ns)):
+            return None
+        return self._scheduled(beacon if completed is None else completed(beacon))
+
+    def _shorten_pause(
+        self, beacon: Beacon, *, hurries: bool, near: Callable[[], Collection[int]] | None
+    ) -> None:
+        """Have the next beacon come sooner if there is something to tell."""
+        timer, said = self._timer, self._said
         if said is None:
             timer.changed(self._again_ns)
         elif beacon.overload > max(said.overload, self.level):
@@ -144,14 +154,14 @@ class BeaconSchedule:
         elif _is_off(beacon, said):
             timer.changed(0 if self.loses else AGAIN_SURE_NS)
         elif hurries and self._has_news(beacon, said, None if near is None else near()):
-            self._hurried_ns, self._is_missed = now_ns, False
+            self._hurried_ns, self._is_missed = beacon.time_ns, False
             timer.changed()
         if self._ahead and self._shows_what_it_lacks(beacon):
             timer.changed(self._again_ns if self.loses else max(self._again_ns, AGAIN_SURE_NS))
-        if not timer.is_due(now_ns, max(self.tick_ns, timer.least_ns)):
-            return None
-        if completed is not None:
-            beacon = completed(beacon)
+
+    def _scheduled(self, beacon: Beacon) -> Beacon:
+        """Return a beacon that is sent now, with until when the next one comes."""
+        timer, now_ns = self._timer, beacon.time_ns
         relays = not self.stands and any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent)
         most_ns = RELAY_NS if relays else timer.most_ns
         beacon = self._with_velocity(beacon, most_ns)
@@ -229,7 +239,7 @@ class BeaconSchedule:
 
     def heard(self, beacon: Beacon, own: _Marks) -> None:
         """Takes another's beacon: it may have an order that this robot lacks, or not hear it any more. Of
-        what the other lacks nothing is said here: it is told (`agent.supervision.order_relay`).
+        what the other lacks nothing is said here: it is told (`agent.supervision.orders`).
 
         Args:
             own: which mission, stop and resume this robot has acknowledged.

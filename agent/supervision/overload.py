@@ -2,7 +2,7 @@
 
 A loop that runs late says so in its robot's beacons: by how many steps it wants the rate to fall. Every robot
 goes by the greatest that it has heard of late, itself included, from the robots themselves: nobody passes it
-on, so that nobody hears his own wish back. In step s a period is 2^s times as long (`agent.control.pace`);
+on, so that nobody hears his own wish back. In step s a period is 2^s times as long (`agent.control.limits`);
 beyond the last step the rate stays, and robots drive more slowly still. Where even then the gaps between
 decisions are longer than the law and the bodies carry, all stand.
 
@@ -51,10 +51,10 @@ class Overload:
     Told of late ticks alone, it costs nothing while there are none.
 
     Args:
-        steps: so many times the period may double (`agent.control.pace.steps`).
+        steps: so many times the period may double (`agent.control.limits.steps`).
         period_ns: of the full rate.
         gap_ns: what drives on for longer without a decision is out of control.
-        standing_ns: the period while all stand for it (`agent.control.pace.standing_period_ns`).
+        standing_ns: the period while all stand for it (`agent.control.limits.standing_period_ns`).
 
     Attributes:
         idle: whether there is nothing to look at.

@@ -158,16 +158,6 @@ class Situation:
         self._look_at_body(now_ns, state)
         # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
         begun = mission is not None and controller.acts_from_ns(now_ns) >= mission.epoch_ns
-        stop = ""
-        if self.ending:
-            stop = "the agent was told to end"
-        elif self.latch.stopped:
-            stop = f"{self.latch.stopped}; {self.unkept}" if self.unkept else self.latch.stopped
-        elif mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns:
-            stop = MISSION_OVER
-        place = ""
-        if not controller.reference.is_member(self._robot, controller.acting_ns(now_ns)):
-            place = "in reserve" if self._fleet.robot(self._robot).reserve else "it has left the formation"
         # It cannot know where it is, so it brakes; but nothing says that its plant is lost.
         stood = self._stood if state in ACTIVE else ""
         neighbours = ""
@@ -181,10 +171,27 @@ class Situation:
         lacks = lacks or ("" if self.may_go_on else NOT_SAID)
         hold = stood or self._deadman(now_ns) or trust.hold
         values = (
-            plant, self.body_trouble, self.numbers, place, neighbours, lacks, stop, hold, degraded,
+            plant, self.body_trouble, self.numbers, self._no_place(now_ns), neighbours, lacks,
+            self._stop(now_ns), hold, degraded,
             begun and self.may_go_on, self.at_rest,
         )  # fmt: skip
         return new(Conditions, values)
+
+    def _stop(self, now_ns: int) -> str:
+        """Return why the robot must stop, "" if it need not."""
+        mission, stopped = self.mission, self.latch.stopped
+        if self.ending:
+            return "the agent was told to end"
+        if stopped:
+            return f"{stopped}; {self.unkept}" if self.unkept else stopped
+        over = mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns
+        return MISSION_OVER if over else ""
+
+    def _no_place(self, now_ns: int) -> str:
+        """Return why the robot has no place in the formation, "" if it has one."""
+        if self._controller.reference.is_member(self._robot, self._controller.acting_ns(now_ns)):
+            return ""
+        return "in reserve" if self._fleet.robot(self._robot).reserve else "it has left the formation"
 
     def _look_at_body(self, now_ns: int, state: State) -> None:
         """Finds for how long the plant has braked though the robot drives."""

@@ -24,8 +24,8 @@ TIMEOUT_PERIODS: Final = 3.0
 """Agent and plant wait so long for each other, and so many periods at least."""
 FALLING_HZ: Final = 8.0
 """From this rate on the fleet can fall to half of it (4 Hz is the lowest to which any can,
-`agent.control.pace`). Many robots of one machine need that: where it is late, and the fleet cannot fall to a
-lower rate, all stand."""
+`agent.control.limits`). Many robots of one machine need that: where it is late, and the fleet cannot fall to
+a lower rate, all stand."""
 FALLING_PERIODS: Final = 4.5
 """Then agent and plant wait so many periods for each other: two of the lower rate, and a little more."""
 SPEED_M: Final = 0.15

@@ -4,7 +4,7 @@ Pure. Others are heard in two ways: by the hand states of those that are listene
 in the formation graph, and whoever is near), and by the beacons of all (a few a second).
 
 A robot stamps its messages and follows the mission by its own clock. So all that is about it is computed
-in that clock: the own one plus its offset, as far as that is proven (`agent.control.peers.clock_offset`).
+in that clock: the own one plus its offset, as far as that is proven (`agent.control.peers.lateness`).
 """
 
 from __future__ import annotations

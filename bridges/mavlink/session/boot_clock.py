@@ -9,7 +9,7 @@ A vehicle stamps what it sends with the time since its boot. With o = wall clock
 All of these hold at once, so o lies in the intersection, which is let grow for the drift of the two clocks.
 An empty one means that a clock was set, or that the vehicle's does not keep time: a simulated autopilot on a
 busy machine runs slower than real time. Then only what is new counts, and the clock's rate is taken from the
-exchanges and reckoned with. (`agent.control.peers.clock_offset` does the same between two robots, without
+exchanges and reckoned with. (`agent.control.peers.lateness` does the same between two robots, without
 exchanges.)
 """
 
