@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 ROVER_SIMULATOR: Final = "rover-simulator"
 COMPLETION: Final = "completion"
-ELSEWHERE: Final = {"list": "status", "film": "export --format gif"}
+ELSEWHERE: Final = {"list": "status", "film": "export --format gif", "signing": "keys --signing"}
 """Words that people look for among the commands, and the command that does what they say."""
 MEANT_MAX: Final = 3
 """So many commands are offered for one that there is not."""
@@ -94,7 +94,6 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
             "local.rover_simulator",
             "an ArduPilot Rover to try bridges with, over UDP and TCP",
         ),
-        Command("signing", "hosts.signing", "give vehicles the keys with which they and their bridges sign"),
         Command(
             "preflight",
             "local.preflight",
@@ -102,7 +101,7 @@ GROUPS: Final[Mapping[str, Sequence[Command]]] = {
         ),
     ),
     "drive a fleet on its own computers": (
-        Command("keys", "hosts.keys", "make and renew the certificates that a secured fleet trusts"),
+        Command("keys", "hosts.keys", "make and renew certificates of a secured fleet, give vehicles keys"),
         Command("router", "hosts.router", "run a Zenoh router for a fleet, until Ctrl-C"),
         Command("up", "hosts.up", "bring a fleet up on its hosts"),
         Command("drive", "running.drive", "drive a fleet that is up, and report"),

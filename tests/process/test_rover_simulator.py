@@ -199,10 +199,10 @@ HANDFAST = (sys.executable, "-P", "-m", "handfast.deploy.cli")
 
 
 def signing(folder: Path, port: int | str, *arguments: str) -> tuple[list[str], dict[str, str]]:
-    """`handfast signing` for robot 1 of the rovers, which is at that TCP port or connection."""
+    """`handfast keys --signing` for robot 1 of the rovers, which is at that TCP port or connection."""
     connection = f"tcp:{ADDRESS}:{port}" if isinstance(port, int) else port
     command = [
-        *(*HANDFAST, "signing", "rovers", "--robot=1", *arguments),
+        *(*HANDFAST, "keys", "rovers", "--signing", "--robot=1", *arguments),
         f"--set=robot.1.mavlink.connection={connection}",
         f"--set=robot.1.mavlink.signing_key={folder / 'keys' / 'one'}",
     ]

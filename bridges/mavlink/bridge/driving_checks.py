@@ -76,7 +76,7 @@ def _absent(session: Session, where: str, now_ns: int) -> str:
         renamed = f"give the vehicle {old} (newer firmware: {new}) = {wanted}"
         return f"mavlink.system = {here}, or {renamed}, or swap connections" if here else renamed
     if session.system is None and (session.unsigned_refused or session.bad_signatures):
-        return "`handfast signing` gives it the key, by USB and while it is disarmed"
+        return "`handfast keys --signing` gives it the key, by USB and while it is disarmed"
     if where.startswith("/"):
         return "is it switched on, TX wired to RX both ways, and SERIALx_PROTOCOL = 2 for that port of it?"
     return "is it switched on, and does its telemetry go there?"

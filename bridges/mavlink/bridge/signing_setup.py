@@ -1,4 +1,4 @@
-"""Gives rovers the key with which they sign from then on: `handfast signing`.
+"""Gives rovers the key with which they sign from then on: `handfast keys --signing`.
 
 ArduPilot answers SETUP_SIGNING with nothing: that it took the key shows in what it sends, signed with it.
 """

@@ -1,4 +1,4 @@
-"""The command ``handfast keys``: who may take part in a fleet, proven by certificates."""
+"""The command ``handfast keys``: certificates for those who take part in a fleet, keys for its vehicles."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from handfast.agent.security.identity import (
 )
 from handfast.agent.security.private_files import KeyFileError, exists
 from handfast.deploy.commands.hosts.key_exchange import existing, install, request, sign
+from handfast.deploy.commands.hosts.signing import IN_CLEAR, give_signing_keys
 from handfast.deploy.console.arguments import (
     InputError,
     describe,
@@ -71,7 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ": the fleet's authority and this operator's certificate, if "
         "they are missing or expire soon. Robots with a host get theirs from `handfast up`; their private "
         "keys never leave them. A second operator, on another computer, asks the authority's for a "
-        "certificate: --request there, --sign here, --install there. Exit status: 0; 2 bad input.",
+        "certificate: --request there, --sign here, --install there. With --signing, gives vehicles their "
+        f"MAVLink 2 keys instead. {IN_CLEAR} Exit status: 0; 1 some vehicles do not sign; 2 bad input; 130 "
+        "after Ctrl-C.",
     )
     fleet_arguments(parser)
     parser.add_argument(
@@ -82,7 +85,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--router", action="store_const", const=MAIN, help="make the certificate of the fleet's routers, too"
     )
     parser.add_argument(
-        "--robot", type=int, metavar="N", help="make key and certificate of a robot without ssh, into --out"
+        "--robot",
+        dest="robots",
+        type=int,
+        action="append",
+        default=[],
+        metavar="N",
+        help="make key and certificate of a robot without ssh, into --out; or, repeatedly, with --signing: "
+        "only this vehicle",
     )
     parser.add_argument(
         "--address",
@@ -124,10 +134,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sign the request of another operator (--out FILE)",
     )
     alone.add_argument("--install", metavar="FILE", help="take what --sign wrote, for the key of --request")
+    alone.add_argument(
+        "--signing",
+        action="store_true",
+        help="give each robot with mavlink.signing_key its key, while it is disarmed",
+    )
+    alone.add_argument(
+        "--make-keys",
+        action="store_true",
+        help="with --signing: make the key files that are missing; never replaces one",
+    )
     parser.set_defaults(command=_keys)
 
 
 def _keys(options: argparse.Namespace) -> int:
+    _check_signing(options)
+    if options.signing:
+        return give_signing_keys(options)
+    options.robot = options.robots[0] if options.robots else None
     fleet = load_unresolved(options)
     name = fleet.fleet.name
     folder = Path(options.keys).expanduser() if options.keys is not None else keys_folder(name)
@@ -162,6 +186,16 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
             "--router needs --address, at which robots reach it, or HOST:PORT in network.routers (those on "
             "hosts get theirs from `handfast up`)"
         )
+
+
+def _check_signing(options: argparse.Namespace) -> None:
+    """Raise `InputError` if --signing is combined with options of certificates, or they with its own."""
+    others = ("keys", "operator", "router", "addresses", "out", "renew", "new_authority", "force", *ALONE)
+    if options.signing and (given := [each for each in others if getattr(options, each)]):
+        rest = ", ".join(f"--{each.replace('addresses', 'address').replace('_', '-')}" for each in given)
+        raise InputError(f"--signing takes --robot and --make-keys only: leave out {rest}")
+    if not options.signing and (options.make_keys or len(options.robots) > 1):
+        raise InputError("--make-keys and several --robot belong to --signing")
 
 
 def _check_together(options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""The command ``handfast signing``: gives vehicles the keys that the fleet file names."""
+"""``handfast keys --signing``: gives vehicles the MAVLink 2 keys that the fleet file names."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot
 from handfast.deploy.console.arguments import (
     InputError,
-    describe,
-    fleet_arguments,
     load_unresolved,
-    robots_argument,
     robots_named,
 )
 from handfast.deploy.console.interrupt import Interrupt
@@ -35,23 +32,8 @@ SIMULATED: Final = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds what ``handfast signing`` takes."""
-    describe(
-        parser,
-        " (MAVLink 2): to each robot with mavlink.signing_key, while "
-        f"it is disarmed. {IN_CLEAR} Exit status: 0 all of them sign with their keys; 1 some do not; 2 bad "
-        "input; 130 after Ctrl-C.",
-    )
-    fleet_arguments(parser)
-    robots_argument(parser)
-    parser.add_argument(
-        "--make-keys", action="store_true", help="make the key files that are not there; never over one"
-    )
-    parser.set_defaults(command=_signing)
-
-
-def _signing(options: argparse.Namespace) -> int:
+def give_signing_keys(options: argparse.Namespace) -> int:
+    """Give vehicles their keys; return the exit status."""
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load_unresolved(options)

@@ -238,4 +238,4 @@ def test_a_vehicle_without_the_key_is_one_for_this_command(scene: MakeScene, veh
     made.run(3.0)
     line = made.bridge.check("link")
     assert line.level == "blocking"
-    assert "handfast signing" in line.advice
+    assert "handfast keys --signing" in line.advice

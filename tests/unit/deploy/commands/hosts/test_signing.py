@@ -1,4 +1,4 @@
-"""`handfast signing` on the command line: key files, and what it refuses before any vehicle is spoken to."""
+"""`handfast keys --signing`: key files, and what it refuses before any vehicle is spoken to."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Run = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """`handfast signing rovers ...`: exit status, output, errors."""
+    """`handfast keys rovers --signing ...`: exit status, output, errors."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
     def signing(*arguments: str) -> tuple[int, str, str]:
-        status = main(["signing", "rovers", *arguments])
+        status = main(["keys", "rovers", "--signing", *arguments])
         captured = capsys.readouterr()
         return status, captured.out, captured.err
 
@@ -123,3 +123,21 @@ def test_a_timestamp_that_cannot_be_kept_is_bad_input_and_leaves_nothing_open(
     assert status == 2
     assert "robot 2: cannot keep the signing timestamp: " in error
     assert threading.active_count() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (
+            ("--signing", "--renew"),
+            "--signing takes --robot and --make-keys only: leave out --renew",
+        ),
+        (("--make-keys",), "--make-keys and several --robot belong to --signing"),
+        (("--robot=1", "--robot=2"), "--make-keys and several --robot belong to --signing"),
+    ],
+)
+def test_options_of_certificates_and_of_signing_are_not_mixed(
+    arguments: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["keys", "rovers", *arguments]) == 2
+    assert capsys.readouterr().err == f"handfast: {says}\n"
