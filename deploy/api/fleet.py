@@ -339,11 +339,6 @@ class Findings(tuple["Finding", ...]):
         """Those with which it would not work."""
         return Findings(finding for finding in self if finding.level == "error")
 
-    @property
-    def warnings(self) -> Findings:
-        """Those with which it may not."""
-        return Findings(finding for finding in self if finding.level == "warning")
-
     def __str__(self) -> str:
         return "\n".join(map(str, self)) or "nothing to say"
 

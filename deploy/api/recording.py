@@ -148,11 +148,6 @@ class Recording:
     ) -> None:
         self._result, self.folder, self._write = result, folder, write
 
-    @staticmethod
-    def open(folder: str | Path) -> Recording:
-        """`load_recording`."""
-        return load_recording(folder)
-
     # --- what it is of -----------------------------------------------------------------------------
 
     @property

@@ -118,7 +118,7 @@ def test_a_saved_one_is_what_the_command_leaves_and_reads_again(recording: Recor
 
 
 def test_one_that_was_read_is_saved_as_a_copy(folder: Path, tmp_path: Path) -> None:
-    recording = Recording.open(folder)
+    recording = load_recording(folder)
     copy = recording.save(tmp_path / "copy")
     assert (copy / "run.mcap").read_bytes() == (folder / "run.mcap").read_bytes()
     with pytest.raises(Error, match="is not an empty folder: name another one, or remove it"):

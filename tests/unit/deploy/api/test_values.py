@@ -16,7 +16,7 @@ from handfast.agent.common.reader import Problem
 from handfast.agent.fleet.model import FleetError
 from handfast.deploy.api.drive import run, simulate
 from handfast.deploy.api.fleet import load
-from handfast.deploy.api.recording import Recording
+from handfast.deploy.api.recording import Recording, load_recording
 from handfast.deploy.api.sweep import sweep
 from handfast.deploy.api.values import Classes, Known, a_path, in_words_of_python, override
 from handfast.deploy.recording.run_files import RecordingError
@@ -129,7 +129,7 @@ def test_what_is_no_path_is_said(given: Any, recording: Recording) -> None:
         lambda: run("pair", duration=1, out=5 if given is None else given),
         lambda: recording.save(given),
         lambda: load("pair").save(given),
-        lambda: Recording.open(given),
+        lambda: load_recording(given),
     ):
         with pytest.raises(Error, match=r"^(out|the folder|the file|the folder that .*) must be a path, got"):
             use()
