@@ -281,18 +281,6 @@ def test_an_option_that_is_given_less_than_nothing_says_what_would_be_right(
     assert "--set fleet.duration_s: must be more than 0 " in capsys.readouterr().err
 
 
-def test_an_option_before_a_command_is_looked_at_first(capsys: pytest.CaptureFixture[str]) -> None:
-    for option, said in (("--help", "usage: handfast"), ("--version", "handfast ")):
-        with pytest.raises(SystemExit, match="0"):
-            main([option, "rnu"])
-        assert capsys.readouterr().out.startswith(said)
-
-
-def test_orders_need_no_numerics_before_they_are_sent() -> None:
-    code = "import sys, handfast.deploy.session.stop; sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0
-
-
 def test_the_fleet_with_a_reserve_can_be_driven() -> None:
     fleet = load_fleet(FLEETS / "reserve.toml")
     assert [robot.id for robot in fleet.robots if robot.reserve] == [7]
@@ -347,19 +335,6 @@ def test_what_is_said_to_a_stream_that_is_closed_goes_nowhere(closed: int, tmp_p
     assert {path.name for path in out.iterdir()} == {"events.txt", "fleet.toml", "metrics.json", "run.mcap"}
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [("run", "delta"), ("simulate", "delta"), ("export", "run"), ("sweep", "run", "delta")],
-)
-def test_a_place_that_is_empty_is_no_default(
-    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As of a variable of a shell that was not set."""
-    with pytest.raises(SystemExit, match="2"):
-        main([*arguments, "--out", ""])
-    assert "argument --out: is empty: name a folder, or leave" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("arguments", [("check", "delta"), ("--help",)])
 def test_an_output_without_room_is_one_line(arguments: tuple[str, ...]) -> None:
     full = Path("/dev/full")
@@ -387,12 +362,6 @@ def test_a_plugins_threads_do_not_keep_a_command(tmp_path: Path) -> None:
     assert done.returncode == 0
     assert "threaded:Threaded cannot be predicted" in done.stdout
     assert done.stderr == "handfast: ends threads that a plugin left running: endless\n"
-
-
-def test_the_law_may_be_a_plugin(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["simulate", "--help"])
-    assert "package.module:Class" in capsys.readouterr().out
 
 
 def test_a_lattice_of_many_robots_is_written_as_a_fleet_file(
@@ -426,44 +395,3 @@ def test_more_robots_than_this_machine_carries_are_refused_with_what_fits(
     assert not (tmp_path / "runs").exists()
     assert main(["check", "many.toml"]) == 0
     assert "warning: fleet.rate_hz: `handfast run` refuses it here: 90 robots" in capsys.readouterr().out
-
-
-def test_nothing_is_measured_for_a_small_fleet_or_one_on_hosts(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("handfast.deploy.processes.machine.measured", None)
-    assert main(["check", "delta"]) == 0
-    text = (FLEETS / "lattice45.toml").read_text(encoding="utf-8")
-    on_hosts = re.sub(r"\{ id = (\d+),", r'{ id = \1, host = "pi\1",', text)
-    hosts = "".join(f'\n[host.pi{k}]\naddress = "10.0.0.{k}"\n' for k in range(1, 46))
-    router = '\nrouters = ["10.0.1.1:7447"]\n'
-    path = tmp_path / "hosts.toml"
-    path.write_text(on_hosts.replace("[network]\n", f"[network]{router}") + hosts)
-    assert main(["check", str(path)]) == 0
-
-
-def test_check_names_cores_that_this_machine_has_not(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "pair", "--set", "process.realtime=true", "--set", "process.cpus=[1023]"]) == 0
-    assert "warning: process.cpus: this machine has no core 1023: " in capsys.readouterr().out
-    assert main(["check", "pair", "--set", "process.cpus=[0,0]"]) == 2
-    assert "process.cpus: core 0 is given twice" in capsys.readouterr().err
-
-
-def test_numpy_of_the_command_has_one_thread_unless_somebody_says_otherwise() -> None:
-    """Two that spin for each other on processors that others use make a `check` of a second take twelve."""
-    code = (
-        "import os, sys; from handfast.deploy.cli import process; sys.argv = ['handfast', 'check', 'pair']; "
-        "assert 'numpy' not in sys.modules; process(); assert 'numpy' in sys.modules; "
-        "print(os.environ['OPENBLAS_NUM_THREADS'], file=sys.stderr)"
-    )
-    for given, expected in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")):
-        environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            cwd=ROOT,
-            env=environment | given,
-            timeout=60,
-        )
-        assert done.stderr.split() == [expected]

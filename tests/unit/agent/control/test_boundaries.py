@@ -38,10 +38,6 @@ def test_what_is_as_far_as_the_limit_or_further_is_not_felt() -> None:
     assert len(Polygon("fence", BOX, inside=True).near(2.0, 1.0, 1.01)) == 2
 
 
-def test_the_middle_of_a_circle_has_a_way_out() -> None:
-    assert Circle("tree", 3.0, 3.0, 0.5).near(3.0, 3.0, 1.0) == [Near("tree", -0.5, 1.0, 0.0)]
-
-
 # --- polygons ---
 
 
@@ -105,14 +101,6 @@ def test_a_fence_is_felt_from_inside_and_pushes_back_from_outside(points) -> Non
     assert rounded(fence.near(7.0, 6.0, 0.1)) == [(-5.0, -0.6, -0.8)]
 
 
-def test_a_corner_on_a_straight_side_does_not_count_twice() -> None:
-    third = 1.0 / 3.0
-    wall = Polygon("wall", ((0.0, 0.0), (third, third), (1.0, 1.0), (-1.0, 2.0)))
-    for away in (0.1, 1.0 / 7.0, 0.7):
-        felt = wall.near(third + away, third - away, 10.0)
-        assert rounded(felt) == [(round(away * sqrt(2.0), 9), round(sqrt(0.5), 9), -round(sqrt(0.5), 9))]
-
-
 @pytest.mark.parametrize("inside", [False, True])
 @pytest.mark.parametrize("place", [(0.0, 0.0), (2.0, 0.0), (4.0, 1.0), (1.0, 1.0)])
 def test_on_the_boundary_the_normal_leads_off_it(place, inside) -> None:
@@ -124,31 +112,7 @@ def test_on_the_boundary_the_normal_leads_off_it(place, inside) -> None:
     assert after[0] > 0.5e-3
 
 
-def test_a_needle_points_away_along_itself() -> None:
-    needle = Polygon("needle", ((0.0, 0.0), (1000.0, 1e-7), (0.0, 1e-6)))
-    near = needle.near(1000.0, 1e-7, 1.0)[0]
-    assert (near.distance, round(near.nx, 3)) == (0.0, 1.0)
-
-
-def test_a_corner_is_not_hidden_by_its_own_sides() -> None:
-    room = Polygon("room", ((-3.0, -2.0), (3.0, -2.0), (3.0, 2.0), (0.31, 0.17), (-3.0, 2.0)), inside=True)
-    for step in range(200):
-        x, y = 0.3 + 0.0001 * step, -1.3 - 0.003 * step  # the floor is nearest, the tip above it next
-        floor, tip = room.near(x, y, 2.4)[:2]
-        assert floor.ny == 1.0
-        assert tip.distance == pytest.approx(hypot(x - 0.31, y - 0.17))
-
-
 # --- many points at once ---
-
-
-def test_distances_of_many_points() -> None:
-    points = np.array([[2.0, -0.5], [2.0, 0.5], [-3.0, -4.0], [np.nan, 0.0]])
-    expected = [0.5, -0.5, 5.0, np.nan]
-    np.testing.assert_allclose(distances(Polygon("box", BOX), points), expected)
-    np.testing.assert_allclose(distances(Polygon("box", BOX, inside=True), points), [-0.5, 0.5, -5.0, np.nan])
-    np.testing.assert_allclose(distances(Circle("tree", 2.0, 0.0, 1.0), points)[:2], [-0.5, -0.5])
-    assert distances(Polygon("box", BOX), np.zeros((0, 2))).shape == (0,)
 
 
 # --- of a fleet file ---

@@ -11,15 +11,11 @@ from handfast.agent.control.detour import (
     AGAINST,
     CAUGHT_S,
     FREE_S,
-    HELD_S,
-    KEEPS_S,
     LEAVING,
     LET_GO_S,
     LOOSE_S,
-    PATIENCE_LOOSE_S,
     PATIENCE_S,
     PATIENCE_WITH_ROBOTS_S,
-    PULLS,
     ROUND_S,
     SPEED_MIN,
     TAKE_HOLD_S,
@@ -77,13 +73,6 @@ def test_what_does_not_hold_it_up_is_left_alone():
         assert detour.round == ""
 
 
-def test_who_goes_as_fast_as_it_may_is_not_held_up():
-    detour, hold = Detour(PERIOD, RATE), Hold([ROBOT], [], STILL, [], NOBODY, ())
-    for own, most, stalls in (((0.1, 0.0), 0.1, False), ((0.1, 0.0), inf, True), ((0.02, 0.0), 0.1, True)):
-        detour.velocity(EAST, own, hold, STILL, most)
-        assert detour.stalls is stalls
-
-
 def test_it_is_not_held_up_for_good_if_it_gets_on_in_between():
     detour = Detour(PERIOD, RATE)
     for _ in range(5):
@@ -119,17 +108,6 @@ def test_out_of_a_trap_it_first_turns_back_as_far_as_it_has_turned_away():
     assert detour.round  # though the direct way has been free for long
 
 
-def test_turns_are_counted_beyond_half_a_one():
-    detour, west_wall = blocked([WALL]), Blocker(1.0, 0.0, "west", True)
-    run(detour, 1.0, [WALL, SOUTH_WALL])
-    given = run(detour, 1.0, [SOUTH_WALL, west_wall])  # the last corner of a cup: north, by three quarters
-    assert given == pytest.approx((0.0, 0.5), abs=0.06)
-    given = run(detour, 2.0, [])
-    assert given is not None
-    assert detour.round
-    assert given[0] < 0.4
-
-
 def test_round_a_robot_it_leaves_as_soon_as_the_direct_way_is_free():
     detour = blocked([ROBOT])
     beside = Blocker(0.0, 1.0, "robot 7", False)
@@ -137,14 +115,6 @@ def test_round_a_robot_it_leaves_as_soon_as_the_direct_way_is_free():
 
 
 DEAD, BESIDE_DEAD = WALL._replace(name="robot 7", body=True), SOUTH_WALL._replace(name="robot 7", body=True)
-
-
-def test_round_one_that_stands_for_good_it_leaves_as_soon_as_the_direct_way_is_free():
-    """Its place goes on: who has overtaken that has turned by half a circle, and would turn one more."""
-    detour = blocked([DEAD])
-    run(detour, 1.0, [DEAD, BESIDE_DEAD])
-    run(detour, FREE_S + PERIOD, [BESIDE_DEAD])
-    assert not detour.round
 
 
 @pytest.mark.parametrize("other", [SOUTH_WALL, BESIDE_DEAD._replace(name="robot 8")])
@@ -170,27 +140,6 @@ def test_robots_keep_to_the_right_of_each_other_unless_one_is_well_beside(rightw
     wall = other._replace(fixed=True)
     _, y = run(blocked([wall]), PERIOD, [wall])
     assert (y > 0.0) is (rightwards > 0.0)
-
-
-def test_of_whom_it_meets_on_its_way_round_another_robot_it_keeps_to_the_right_again():
-    beside = Blocker(-0.4, 0.9, "robot 7", False)
-    detour = blocked([beside])  # on the left
-    _, y = run(detour, 1.0, [ROBOT._replace(name="robot 8")])
-    assert y < 0.0
-
-
-def test_held_up_again_soon_after_it_keeps_the_side_but_not_for_ever():
-    northwards = (0.4, 0.3)
-    for pause, keeps in ((0.5 * KEEPS_S, True), (KEEPS_S + 1.0, False)):
-        detour = blocked([WALL])  # southwards
-        run(detour, 2.0, [])
-        assert run(detour, pause, []) is None
-        _, y = run(detour, 2.0, [WALL], northwards)
-        assert (y < 0.0) is keeps
-    at_its_place = blocked([WALL])
-    run(at_its_place, PERIOD, [], STILL)
-    _, y = run(at_its_place, 2.0, [WALL], northwards)
-    assert y > 0.0
 
 
 def test_it_tries_the_sides_in_turn_for_longer_and_longer():
@@ -240,26 +189,6 @@ def test_robots_are_passed_as_seen_from_the_formation_and_walls_from_the_ground(
             assert abs(given[0] - 0.4) == pytest.approx(0.3, abs=0.05)
 
 
-def test_robots_that_it_meets_on_its_way_round_a_wall_do_not_count_as_turns():
-    detour, around = blocked([WALL]), [(-1.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0)]
-    for _ in range(3):
-        for x, y in around:
-            run(detour, 0.5, [WALL, Blocker(x, y, "robot 7", False)])
-    run(detour, 1.2 + FREE_S, [])  # as far as it has turned away along the wall alone
-    assert detour.round == ""
-
-
-def test_a_wall_that_is_not_found_again_within_a_turn_is_no_wall():
-    detour = blocked([WALL])
-    for _ in range(3):  # the cup's corners, three times over
-        for x, y in ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)):
-            run(detour, 1.0, [Blocker(x, y, "wall", True)])
-    run(detour, 4.0, [])
-    assert detour.round
-    run(detour, 1.0, [])
-    assert detour.round == ""
-
-
 # ---------------------------------------------------------------------- wrong rest points
 
 
@@ -279,48 +208,6 @@ def test_a_robot_that_its_edges_hold_in_balance_lets_go_of_them_until_it_is_near
     assert detour.grip == 1.0
 
 
-def test_at_its_place_it_waits_for_those_with_whom_it_was_caught_but_not_for_ever():
-    """Whose edges would draw it off again, so that each was at its place in turn."""
-    for astray, waits in ((2, True), (5, False)):
-        detour = Detour(PERIOD, RATE)
-        run(detour, CAUGHT_S + 1.0, BALANCED)
-        off = Hold([], [], STILL, [], frozenset({astray}), ())
-        run(detour, 10.0, off, (0.9 * SPEED_MIN, 0.0))
-        assert (detour.grip == 0.0) is waits
-        run(detour, TAKE_HOLD_S, [], (0.9 * SPEED_MIN, 0.0))
-        assert detour.grip == pytest.approx(1.0, abs=0.05)
-    detour = Detour(PERIOD, RATE)
-    run(detour, CAUGHT_S + 1.0, BALANCED)
-    run(detour, LOOSE_S + TAKE_HOLD_S, off._replace(astray=frozenset({2})), (0.9 * SPEED_MIN, 0.0))
-    assert detour.grip == 1.0
-
-
-def test_edges_that_do_not_hold_it_are_kept():
-    weak = BALANCED._replace(pull=(-0.9 * PULLS * RATE * 0.5, 0.0))
-    for hold, own, wanted in (
-        (weak, STILL, EAST),
-        (BALANCED, EAST, EAST),  # it gets on
-        (BALANCED, STILL, (0.9 * SPEED_MIN, 0.0)),  # it is about there
-        (BALANCED._replace(pull=(RATE, 0.0)), STILL, EAST),
-    ):
-        detour = Detour(PERIOD, RATE)
-        run(detour, 10.0, hold, wanted, own)
-        assert detour.grip == 1.0
-        assert "rest point" not in detour.held
-
-
-def test_without_a_safety_filter_it_keeps_them_and_says_what_it_is_caught_in():
-    detour = Detour(PERIOD, RATE, bound=False)
-    run(detour, 20.0, BALANCED)
-    assert (detour.grip, detour.held) == (1.0, "caught in a wrong rest point with robots 2, 3")
-
-
-def test_in_a_formation_that_moves_a_wrong_rest_point_moves_as_well():
-    detour, place = Detour(PERIOD, RATE), (0.0, 2.0)
-    run(detour, CAUGHT_S + LET_GO_S + 5 * PERIOD, BALANCED, (0.5, 2.0), place, place)
-    assert detour.grip == 0.0
-
-
 def test_it_takes_its_edges_back_when_it_does_not_come_near_and_tries_again_for_longer():
     detour, loose = Detour(PERIOD, RATE), []
     for _ in range(round(100.0 / PERIOD)):
@@ -331,39 +218,7 @@ def test_it_takes_its_edges_back_when_it_does_not_come_near_and_tries_again_for_
     assert took == pytest.approx([LOOSE_S - LET_GO_S, 2.0 * LOOSE_S - LET_GO_S], abs=0.2)
 
 
-def test_whom_it_meets_once_it_is_loose_it_goes_round_at_once():
-    detour = Detour(PERIOD, RATE)
-    run(detour, CAUGHT_S + 1.0, BALANCED)
-    run(detour, PATIENCE_LOOSE_S + 2 * PERIOD, [ROBOT])
-    assert detour.round == "robot 7"
-
-
 # ---------------------------------------------------------------------- what it says
-
-
-@pytest.mark.parametrize(
-    ("hold", "held"),
-    [
-        (Hold([], [ROBOT], STILL, [], NOBODY, ()), "held up by robot 7"),
-        (Hold([], [], STILL, [], NOBODY, ("speed",)), "held back by its limit of speed"),
-        (Hold([], [], STILL, [], NOBODY, ("a", "b")), "held back by its limit of a and b"),
-        (Hold([], [], STILL, [], NOBODY, ()), ""),
-    ],
-)
-def test_it_says_what_holds_it(hold, held):
-    detour = Detour(PERIOD, RATE)
-    run(detour, HELD_S - 3 * PERIOD, hold)
-    assert detour.held == ""
-    run(detour, 5 * PERIOD, hold)
-    assert detour.held == held
-    run(detour, HELD_S + 3 * PERIOD, [], own=EAST)
-    assert detour.held == ""
-
-
-def test_a_lane_is_not_gone_round():
-    detour = Detour(PERIOD, RATE)
-    assert run(detour, 30.0, Hold([], [ROBOT], STILL, [], NOBODY, ())) is None
-    assert detour.round == ""
 
 
 def test_it_says_round_what_it_goes():
@@ -385,15 +240,3 @@ def test_from_what_it_is_too_near_to_it_drives_away_before_it_drives_along(ny: f
     assert x > 0.0  # on the side to which its place is nearer
     x, y = run(detour, 2.0, [beside._replace(within=False)])
     assert abs(beside.nx * x + beside.ny * y) / hypot(x, y) < 2.0 * AGAINST
-
-
-def test_who_stands_on_its_way_round_says_by_whom_it_is_shut_in():
-    cup = [WALL, NORTH_WALL._replace(within=True), SOUTH_WALL._replace(within=True)]
-    detour = Detour(PERIOD, RATE)
-    run(detour, 0.8 * HELD_S, cup)
-    assert detour.held.startswith("on its way round ")
-    waits = Hold(cup, [Blocker(-1.0, 0.0, "own lane", True)], STILL, [], NOBODY, ())
-    run(detour, HELD_S, waits)
-    assert detour.held == "shut in by north and own lane and south and wall"
-    run(detour, PERIOD, waits, own=(-0.2, 0.0))
-    assert detour.held.startswith("on its way round ")

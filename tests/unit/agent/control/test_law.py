@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from handfast.agent.control import law
-from tests.values import values
 
 GAINS = law.Gains(kd=1.8, k2=5.0, kp=1.0)
 RS = 0.22
@@ -45,49 +44,11 @@ def test_two_in_one_place_have_no_direction_and_no_force() -> None:
     assert law.force(e, law.multiplier_edge(e)) == (0.0, 0.0)
 
 
-def test_a_fading_edge_is_the_same_constraint_scaled() -> None:
-    e = pair(0.8, closing=0.1)
-    faded = law.weighted(e, 0.25)
-    scaled = (0.25 * value for value in (e.phi, e.slope, e.rate, e.demand))
-    assert values(faded) == (e.normal, e.distance, *scaled, e.softness)
-
-
-def test_a_one_sided_multiplier_never_pulls() -> None:
-    assert [law.repelling(value) for value in (-2.0, 0.0, 3.0)] == [0.0, 0.0, 3.0]
-
-
 def test_navigation_is_cut_far_from_the_place_only() -> None:
     assert law.navigation_force(0.3, 2.0, -1.0, 0.4, 0.6) == pytest.approx(0.3 - 0.8 + 0.6)
     near, far = (0.3, 0.4), (30.0, 40.0)
     assert law.acting_error(near, (0.0, 0.0), 0.4, 0.6, 1.0) == near
     assert law.acting_error(far, (0.0, 0.0), 0.4, 0.6, 1.0) == pytest.approx((0.6 / 20 * 30, 0.6 / 20 * 40))
-
-
-def firm(x: float, rate: float = 3.0, place: tuple[float, float] = (0.0, 0.0)) -> float:
-    """`law.firmness` at a distance x from its place, at up to 1 m/s: (21) holds up to 1.5 m."""
-    acting = law.acting_error((x, 0.0), place, 0.4, 0.6, 1.0)
-    return law.firmness((x, 0.0), acting, place, 0.4, 0.6, 1.0, rate)
-
-
-def test_far_from_its_place_a_robot_is_pulled_as_firmly_as_by_21_alone() -> None:
-    assert [firm(x) for x in (0.0, 1.0, 1.5)] == [1.0, 1.0, 1.0]
-    # At rest on the straight way to a place at rest the pull is that of (21): c1 x.
-    for x in (1.6, 2.0, 2.9):
-        acting = law.acting_error((x, 0.0), (0.0, 0.0), 0.4, 0.6, 1.0)
-        assert firm(x) * acting[0] == pytest.approx(x)
-    assert firm(100.0) == law.FIRMEST
-
-
-def test_it_is_no_firmer_than_the_loop_carries() -> None:
-    assert firm(6.0, rate=0.9) == pytest.approx(1.5)
-    assert firm(6.0, rate=0.6) == firm(6.0, rate=0.1) == 1.0
-
-
-def test_near_a_place_that_moves_all_is_as_21_has_it() -> None:
-    """Wherever (21) holds, on whichever side of its place it is."""
-    for x in (-2.0, -1.0, 1.0, 2.0):
-        assert firm(x, place=(0.4, 0.0)) == 1.0
-    assert firm(-5.0, place=(0.4, 0.0)) > 1.0
 
 
 @pytest.mark.parametrize(

@@ -5,19 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from typing import Any
 
-import numpy as np
 import pytest
 
-from handfast.agent.control import own_law
 from handfast.agent.control.own_law import LawError
 from handfast.agent.core import Agent
-from handfast.agent.fleet.loading import parse_fleet
-from handfast.agent.messages.types import HandState
 from handfast.agent.supervision.state_machine import State
-from tests.unit.agent.agent_bench import FLEET, PERIOD, Bench, brakes, fleet
-from tests.unit.agent.control.laws import LAWS, Good, known
+from tests.unit.agent.agent_bench import PERIOD, Bench, brakes, fleet
+from tests.unit.agent.control.laws import Good, known
 
 HERE = "tests.unit.agent.control.laws"
 
@@ -70,23 +65,6 @@ def test_the_safety_filter_stands_after_it():
     assert out.correction_x < -5.0
 
 
-def test_what_is_in_the_way_does_not_push_but_is_gone_round():
-    shed = 'obstacle = [{ name = "shed", centre_m = [1.0, 0.0], radius_m = 0.5 }]\n'
-    text = shed + FLEET.replace("velocity_mps", "start_m = [3.0, 0.0], velocity_mps")
-    driven = Bench(made=parse_fleet(text, source="here", overrides=["control.law=Good"]))
-    driven.other = (4.0, 0.0, 0.0, 0.0)
-    out = driven.drive().hand
-    assert out is not None
-    assert (out.constraint_x, out.constraint_y) == pytest.approx((0.0, 0.0))
-    assert out.degree == 2  # the edge and the shed
-    before = Good.last.navigation
-    assert before == pytest.approx((out.navigation_x, out.navigation_y))
-    out = driven.run(100)[-1].hand
-    assert out is not None
-    assert Good.last.navigation[1] != pytest.approx(out.navigation_y, abs=0.05)  # turned, along the shed
-    assert (out.constraint_x, out.constraint_y) == pytest.approx((0.0, 0.0))
-
-
 def test_it_is_restarted_whenever_the_robot_begins_to_drive():
     driven = bench("Good")
     driven.drive()
@@ -99,21 +77,6 @@ def test_it_is_restarted_whenever_the_robot_begins_to_drive():
     driven.run(60)
     assert driven.state is State.RUNNING
     assert Good.restarts == 2
-
-
-def test_its_numbers_reach_its_neighbours_and_the_last_ones_hold():
-    driven = bench("Good")
-    driven.drive()
-    out = driven.tick().hand
-    assert out is not None
-    assert out.own == (1.0, pytest.approx(Good.last.time))
-    assert Good.last.neighbours[0].numbers == ()
-    state = HandState(2, 5000, driven.now - PERIOD // 2, True, 1, 1.5, 0.2, *[0.0] * 9, (), (), (7.0, 8.0))
-    driven.give("two/robot/2/hand", state)
-    driven.tick()
-    assert Good.last.neighbours[0].numbers == (7.0, 8.0)
-    driven.run(3)  # of hand states without numbers
-    assert Good.last.neighbours[0].numbers == (7.0, 8.0)
 
 
 @pytest.mark.parametrize(
@@ -173,50 +136,6 @@ def test_a_law_that_cannot_be_made_is_refused_in_one_line(law: str, says: str):
 def test_only_a_subclass_of_law_is_one():
     with pytest.raises(ValueError, match=r"NoLaw: is no subclass of Law"):
         fleet("control.law=NoLaw")
-
-
-def test_what_is_no_number_is_none_whatever_it_does():
-    class Odd:
-        def __iter__(self) -> Any:
-            raise RuntimeError
-
-        def __repr__(self) -> str:
-            raise RuntimeError
-
-    made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
-    made.acceleration = lambda now: Odd()  # type: ignore[attr-defined]
-    with pytest.raises(LawError, match="got a Odd"):
-        own_law.evaluate(made, None)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    "given",
-    [("1.0", "2.0"), (True, False), {1.0: 2.0, 3.0: 4.0}, {1.0, 2.0}, iter((1.0, 2.0)), np.ones((2, 2)),
-     np.array([True, False]), (1.0, None), (1j, 0.0)],
-)  # fmt: skip
-def test_what_looks_like_two_numbers_is_refused(given: Any):
-    made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
-    made.acceleration = lambda now: given  # type: ignore[attr-defined]
-    with pytest.raises(LawError, match="must return two numbers"):
-        own_law.evaluate(made, None)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    "given", [[1, 2], np.array([1.0, 2.0]), (np.float32(1), np.int64(2)), (np.array(1.0), 2.0)]
-)
-def test_two_real_numbers_of_any_kind_are_taken(given: Any):
-    made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
-    made.acceleration = lambda now: given  # type: ignore[attr-defined]
-    wanted, _ = own_law.evaluate(made, None)  # type: ignore[arg-type]
-    assert wanted == (1.0, 2.0)
-    assert {type(value) for value in wanted} == {float}
-
-
-def test_a_number_that_no_message_holds_is_told_the_limit():
-    made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
-    made.acceleration = lambda now: (1e308, 0.0)  # type: ignore[attr-defined]
-    with pytest.raises(LawError, match=r"got \(1e\+308, 0.0\) \(at most 1e\+15\)$"):
-        own_law.evaluate(made, None)  # type: ignore[arg-type]
 
 
 def test_others_do_not_load_it():

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, inf, sin
+from math import hypot, inf
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handfast.agent.common.quantities import DISTANCE_MIN
@@ -22,7 +22,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.formation.mission_plan import plan_of
 from handfast.agent.formation.reference import Instant
-from handfast.agent.messages.types import Beacon, HandState, Mission
+from handfast.agent.messages.types import Beacon, Mission
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1, y_m = 0 }, { id = 3, x_m = 5, y_m = 0 }]
@@ -77,18 +77,6 @@ def test_who_comes_within_the_sensing_region_is_close_and_stays_a_little_longer(
     assert seen == [(False, []), (True, [3]), (False, [3]), (True, []), (False, [])]
 
 
-def test_who_comes_fast_is_listened_to_earlier():
-    scene = Scene()
-    scene.beacon(2.0 + 0.9 * AHEAD_S, vx=-1.0)
-    assert scene.look()
-    other = Scene()
-    other.beacon(2.0 + 0.9 * AHEAD_S, vx=1.0)
-    assert not other.look()
-    own = Scene()
-    own.beacon(2.0 + 0.9 * AHEAD_S)
-    assert own.look(HERE._replace(vx=1.0))  # whoever of the two it is that comes
-
-
 def test_who_was_within_it_when_it_was_last_heard_is_listened_to_where_messages_are_late():
     """It may have stopped there: who drives at its heels cannot wait for rare beacons to know."""
     for late_s, close in ((0.8, True), (0.1, False)):
@@ -137,69 +125,6 @@ def test_in_a_large_fleet_where_a_silent_robot_may_be_is_only_found_out_where_it
     assert set(asked) == {3}
 
 
-@pytest.mark.patches
-def test_of_many_that_fall_silent_together_the_nearest_are_looked_for_first(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    scene = Scene("avoidance.beacon_interval_max_s=2.0")
-    asked: list[int] = []
-    worked_out = scene.peers.whereabouts.belief
-
-    def noted(peer: Peer) -> Belief | None:
-        asked.append(peer.robot)
-        return worked_out(peer)
-
-    monkeypatch.setattr(scene.peers.whereabouts, "belief", noted)
-    for robot, x in ((3, 3.4), (4, -3.0), (5, 3.2), (6, -3.6), (7, 2.9)):
-        scene.beacon(x, robot=robot)
-    scene.wait(3 * S)
-    scene.proximity.look(scene.now, HERE, (2,), rests=True)
-    assert asked == [], "nobody needs to know"
-    for count in (2, 4, 5):
-        scene.look()
-        scene.wait()
-        assert list(dict.fromkeys(asked)) == [7, 4, 5, 3, 6][:count]
-
-
-@given(
-    st.floats(1.5, 6.0),
-    st.lists(
-        st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
-        min_size=2,
-        max_size=12,
-    ),
-)
-@example(3.0, [(3.0, 0.0, 0.5, 0.0), (0.0, 0.0, 0.0, 0.0)])  # it falls silent meanwhile
-def test_who_rests_is_not_near_before_it_is_looked_at_again(
-    away: float, legs: list[tuple[float, float, float, float]]
-) -> None:
-    """Whatever the own robot does, and whatever the other says that it does from then on."""
-    resting, asking = Scene(), Scene()
-    x, y, vx, vy = 0.0, 0.0, 0.0, 0.0
-    other_x = away
-    limit = acceleration_max(resting.fleet) / 2.0**0.5
-    for ax, ay, other_vx, other_vy in legs:
-        for tick in range(5):
-            here = Hand(x, y, vx, vy)
-            for scene in (resting, asking):
-                if tick == 0:
-                    told = (other_x, 0.0, other_vx, other_vy)
-                    beacon = Beacon(3, 0, scene.now - 1, True, *told, 0.0, 0, 0, -1, -1)
-                    assert scene.peers.accept_beacon(beacon, scene.now) is None
-            asking.peers.get(3).far_until_ns = 0
-            resting.look(here)
-            asking.look(here)
-            assert resting.close == asking.close
-            for scene in (resting, asking):
-                scene.wait()
-            own_ax, own_ay = max(-limit, min(limit, ax)), max(-limit, min(limit, ay))
-            x, y = x + 0.1 * vx + 0.005 * own_ax, y + 0.1 * vy + 0.005 * own_ay
-            vx, vy = vx + 0.1 * own_ax, vy + 0.1 * own_ay
-            speed = hypot(vx, vy)
-            if speed > 1.0:
-                vx, vy = vx / speed, vy / speed
-
-
 def test_who_says_that_it_goes_elsewhere_is_looked_at_again_at_once() -> None:
     scene = Scene()
     scene.beacon(2.9)
@@ -208,39 +133,6 @@ def test_who_says_that_it_goes_elsewhere_is_looked_at_again_at_once() -> None:
     scene.wait()
     scene.beacon(2.9, vx=-2.0)
     assert scene.look()
-
-
-@pytest.mark.patches
-def test_in_a_large_fleet_whoever_is_not_near_is_not_looked_at_in_every_look(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    is_near = Proximity._is_near
-    asked: list[int] = []
-
-    def noted(proximity: Proximity, peer: Peer, now_ns: int, here: Hand) -> bool:
-        asked.append(peer.robot)
-        return is_near(proximity, peer, now_ns, here)
-
-    monkeypatch.setattr(Proximity, "_is_near", noted)
-    for overrides, looks in (((), 10), (("avoidance.beacon_interval_max_s=2.0",), 2)):
-        scene = Scene(*overrides)
-        asked.clear()
-        scene.beacon(2.02)
-        for _ in range(10):
-            scene.look()
-            scene.wait(LOOK_PERIOD_NS // 5)
-        assert asked == [3] * looks
-
-
-def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():
-    scene = Scene()
-    for robot in (7, 3, 2):
-        scene.beacon(1.0, robot=robot)
-    scene.look()
-    assert scene.close == [3, 7]
-    scene.wait()
-    assert scene.look(neighbours=(2, 7))
-    assert scene.close == [3]
 
 
 def test_a_robot_that_is_not_heard_for_a_while_is_looked_for_in_a_wider_region():
@@ -262,25 +154,6 @@ def test_between_beacons_a_robot_that_drives_goes_on():
         assert scene.close == close
 
 
-def test_who_is_not_close_any_more_is_not_expected_to_be_heard():
-    """Its hand states are not listened to: that they do not come is no loss."""
-    scene = Scene()
-
-    def hand(number: int, x: float) -> None:
-        state = HandState(3, number, scene.now - PERIOD, True, 0, x, *[0.0] * 10, (), ())
-        assert scene.peers.accept(state, scene.now) is None
-
-    hand(0, 1.0)
-    scene.look()
-    scene.wait()
-    hand(5, 3.0)
-    scene.look()
-    assert scene.close == []
-    scene.wait(10 * S)
-    hand(505, 1.0)
-    assert scene.peers.get(3).lost == 4
-
-
 @pytest.mark.parametrize("follows", [False, True])
 @pytest.mark.parametrize("here", [False, True])
 def test_nobody_is_forgotten_by_time(follows: bool, here: bool):
@@ -292,66 +165,6 @@ def test_nobody_is_forgotten_by_time(follows: bool, here: bool):
         scene.look()
         assert scene.close == [3]
         scene.wait(3600 * S)
-
-
-def test_without_avoidance_there_are_no_obstacles():
-    scene = Scene("avoidance.enabled=false")
-    assert not scene.proximity.enabled
-    assert scene.proximity.obstacles == ()
-    assert scene.proximity.fence is not None  # whoever leaves the geofence holds nevertheless
-
-
-def test_distances_are_those_of_the_file_and_of_the_formation_in_force():
-    scene = Scene()
-    assert (scene.proximity.distance, scene.proximity.sensing, scene.proximity.clearance) == (1.1, 2.0, 0.1)
-    made = parse_fleet(FLEET.replace("distance_m = 1.1", ""), source="here")
-    proximity = Proximity(made, 1, scene.peers)
-    wide = Mission(1, 0, T0, S, "", robots=((1, 0.0, 0.0), (2, 3.0, 0.0)), edges=((1, 2, 3.0),))
-    for mission, distance in ((Mission(1, 0, T0, S, ""), 0.6), (wide, 1.6)):
-        proximity.plan(plan_of(mission, made, resolve(made)))
-        assert proximity.distance == pytest.approx(distance)  # half way between r_s and the shortest edge
-
-
-def test_how_far_inside_the_geofence_a_point_is():
-    proximity = Scene().proximity
-    assert proximity.fence_distance(9.7, 0.0) == pytest.approx(0.3)
-    assert proximity.fence_distance(10.5, 0.0) == pytest.approx(-0.5)
-    assert proximity.fence_distance(0.0, 0.0) > proximity.warn
-    made = parse_fleet(FLEET[: FLEET.index("geofence")], source="here")
-    assert Proximity(made, 1, Scene().peers).fence_distance(99.0, 0.0) == inf
-
-
-@given(
-    st.lists(
-        st.tuples(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0), st.floats(-0.2, 0.2), st.floats(0.5, 1.0)),
-        min_size=1,
-        max_size=6,
-    )
-)
-def test_whoever_rests_is_found_as_soon_as_if_it_were_always_looked_at(
-    others: list[tuple[float, float, float, float]],
-):
-    """Robots that make for each other as fast as they may: nobody comes near while nobody looks."""
-    lazy, eager = Scene(), Scene()
-    most = speed_max(lazy.fleet)
-    heading = atan2(others[0][1], others[0][0])
-    own = Hand(0.0, 0.0, most * cos(heading), most * sin(heading))
-    for _ in range(60):
-        for scene in (lazy, eager):
-            for number, (x, y, off, share) in enumerate(others, 3):
-                t, way = (scene.now - PERIOD - T0) / S, atan2(-y, -x) + off
-                vx, vy = share * most * cos(way), share * most * sin(way)
-                told = (True, x + vx * t, y + vy * t, vx, vy, 0.0, 0, 0, -1, -1)
-                beacon = Beacon(number, 0, scene.now - PERIOD, *told)
-                assert scene.peers.accept_beacon(beacon, scene.now) is None
-        t = (lazy.now - T0) / S
-        here = own._replace(x=own.vx * t, y=own.vy * t)
-        for peer in eager.peers.known:
-            peer.far_until_ns = 0
-        assert lazy.look(here) == eager.look(here)
-        assert lazy.close == eager.close
-        for scene in (lazy, eager):
-            scene.wait()
 
 
 # ---------------------------------------------------------------------- against the plain form of it

@@ -210,22 +210,6 @@ def test_whom_the_others_do_not_hear_is_not_counted():
     assert scene.way.hold.startswith("on the lane of robot 1")
 
 
-def test_whom_one_hears_by_others_alone_would_not_tell_it_of_its_neighbours():
-    """Robot 4 shares an edge with 3, and is known to be there: 2 hears it and says so."""
-    scene = Scene(1)
-    scene.run(5.0, 2, 5)
-    assert scene.way.keep_in
-    scene = Scene(1)
-    for _ in range(50):
-        scene.run(0.1, 2, 5)
-        row = Silent(4, scene.now - S // 10, True, *scene.starts[4], 0.0, 0.0, *scene.starts[4], 0.0)
-        told = Beacon(2, 0, scene.now + 1, True, *scene.starts[2], 0.0, 0.0, 0.0, 1, 0, -1, -1, (row,), ())
-        assert scene.peers.accept_beacon(told, scene.now + PERIOD) is None
-    assert scene.peers.get(4).late_ns(scene.now) < S
-    scene.look()
-    assert scene.way.keep_in, "robot 3 may be driving with it"
-
-
 def blind(scene: Scene, seconds: float, *robots: int, knows_s: float) -> None:
     """These robots are heard and do not hear robot 1, of which they know that it was at its start so long ago
     (s); the others hear it."""
@@ -259,35 +243,6 @@ def test_who_is_heard_and_has_given_this_one_up_is_as_one_that_is_not_heard():
     few = Scene(1)
     blind(few, 3.0, 2, 3, 4, knows_s=1.5)
     assert few.way.hold == "on the lane of robot 4, which has the right of way (does not hear this one)"
-
-
-def test_one_that_has_given_this_one_up_knows_it_by_the_mission_that_this_one_had_then():
-    """Both have the new mission, but neither knows that the other one has it."""
-    scene = Scene(1)
-    blind(scene, 1.0, 3, 4, knows_s=0.9)
-    geometry = resolve(scene.fleet)
-    still = Mission(2, scene.now, scene.now, 60 * S, "")
-    scene.reference.take(plan_of(still, scene.fleet, geometry))
-    new = 2, tag(still)
-    scene.references[new] = scene.reference.frozen()
-    scene.marks = dict.fromkeys(scene.fleet.ids, new)
-    blind(scene, 2.0, 3, 4, knows_s=2.5)
-    then = scene.way._then[3]
-    assert then.mark == (1, scene.way._own[0].mark[1] if scene.way._own[0].mark else 0)
-    assert scene.way._ways[3].follows is scene.references[then.mark]
-
-
-def test_others_go_by_a_mission_from_the_moment_on_in_which_a_beacon_tells_it():
-    """However late that is after this one has taken it, and between two looks."""
-    scene = Scene(1)
-    scene.run(1.0, 2, 3, 4, 5)
-    old, now = scene.told, scene.now + PERIOD
-    for mark, told_ns in (((2, 7), now + S // 20), ((3, 8), now + S // 2)):
-        scene.way.told(told_ns, scene.here, mark)
-        assert [scene.way._at(told_ns + k).mark for k in (-1, 0, S)] == [old, mark, mark]
-        scene.way.look(told_ns + S // 10, scene.here)
-        assert scene.way._at(told_ns + S).mark == mark
-        old = mark
 
 
 def test_without_the_right_of_way_it_keeps_to_its_lane_wherever_the_others_lanes_are():
@@ -341,48 +296,6 @@ def test_heard_again_all_is_as_it_was():
     assert (scene.way.hold, scene.names, scene.way.keep_in) == ("", [], ())
 
 
-def test_without_edges_any_silent_robot_may_be_driving():
-    for overrides, names in (((), []), (("formation.edges=[]",), ["lane of robot 1"])):
-        scene = Scene(3, *overrides)
-        scene.run(4.0, 2, 4, 5)
-        scene.move(5.0, 0.9)  # off its own lane
-        scene.run(0.1, 2, 4, 5)
-        assert scene.names == names
-
-
-def test_of_many_silent_robots_the_lanes_are_made_by_and_by():
-    places = ", ".join(f"[{k}, 0]" for k in range(12))
-    robots = ", ".join(f"{{ id = {k + 1}, x_m = {k}, y_m = {k % 3} }}" for k in range(12))
-    text = f"""
-robot = [{robots}]
-fleet = {{ name = "many" }}
-formation = {{ edges = [], offsets = [{places}], safe_distance_m = 0.2 }}
-control = {{ prediction_horizon_s = 1.0 }}
-"""
-    scene = Scene(1, text=text)
-    holds = []
-    for _ in range(30):
-        scene.run(0.1)
-        holds.append(scene.way.hold)
-    assert holds.count("works out the ways of 11 silent robots") == 2  # four at a time
-    assert holds[0] == ""
-    assert "works out" not in holds[-1]
-
-
-def test_a_body_on_the_lane_of_who_has_the_right_of_way_is_gone_round():
-    """It may be alive, but then it stands: no lane of its own keeps the other from leaving its lane."""
-    scene = Scene(1, "formation.edges=[]")
-    scene.starts[4] = (0.0, 0.05)  # of no use to robot 4 on its own way, y = 0
-    scene.run(0.2, 2, 3, 4, 5)
-    scene.run(5.0, 2, 3, 5)
-    assert (scene.way.hold, scene.names, scene.way.keep_in) == ("", [], ())
-    beside = Scene(1, "formation.edges=[]")
-    beside.starts[4] = (-6.0, 1.0)  # 1 m from the lane of robot 1: it may drive on
-    beside.run(0.2, 2, 3, 4, 5)
-    beside.run(5.0, 2, 3, 5)
-    assert beside.way.keep_in
-
-
 def test_lanes_are_those_of_the_mission_that_the_silent_have_acknowledged():
     """Robots 1 and 2 have another mission meanwhile, of which 3 and 4 have not heard: their old lanes count,
     and so does the own one, for that is what they keep out of."""
@@ -423,22 +336,6 @@ def test_a_robot_that_was_replaced_drives_with_nobody_who_has_left_its_mission(k
     assert bool(scene.way.keep_in) is not knew
 
 
-def test_before_it_must_have_stood_a_robot_may_go_on_by_the_mission_that_it_knows():
-    """As above, but robot 4 falls silent right after 3, both before the change is taken over."""
-    scene = Scene(1)
-    scene.run(0.5, 2, 4, 5)
-    robots = ((1, 6.0, 0.0), (2, 6.0, 1.5), (5, -6.0, 1.5), (4, -6.0, 0.0))
-    edges = ((1, 2, 1.5), (2, 5, 12.0), (4, 5, 1.5))
-    from_ns = scene.now + 2 * S
-    changed = Mission(2, scene.now, T0, 60 * S, "", from_ns=from_ns, robots=robots, edges=edges)
-    scene.reference.take(plan_of(changed, scene.fleet, resolve(scene.fleet)))
-    for robot in (2, 4, 5):
-        scene.marks[robot] = 2, tag(changed)
-    scene.run(0.5, 2, 4, 5)
-    scene.run(5.0, 2, 5)
-    assert scene.way.keep_in
-
-
 def test_the_own_lane_is_that_from_where_each_of_the_silent_heard_it():
     """Robot 3 was lost long before 4: what each of them knows is where this one was then."""
     scene = Scene(1)
@@ -451,37 +348,3 @@ def test_the_own_lane_is_that_from_where_each_of_the_silent_heard_it():
     assert lanes[3].distance(-6.0, 0.0) < 0.2
     assert lanes[4].distance(-2.0, 0.1) < 0.05
     assert lanes[4].distance(-6.0, 0.0) > 3.0
-
-
-def test_a_robot_that_was_on_its_way_along_this_ones_lane_stands_on_it():
-    """However long the way on which it may be: none of it is off the lane."""
-    scene = Scene(1)
-    scene.run(0.2, 2, 3, 4, 5)
-    scene.run(5.0, 2, 5)
-    assert "lane of robot 4" not in scene.names
-    assert scene.way._ways[4].on  # head on
-    assert not scene.way._ways[3].on  # 1.5 m beside it
-
-
-def test_on_its_way_round_something_it_leaves_its_lane_where_that_is_out_of_the_others():
-    """Beside its lane, y = 0, is that of robot 3, 1.5 m to the left: on the right there is room."""
-    half = LANE_SHARE * SAFE
-    for passing, y, keeps in (
-        (False, -0.2, True),
-        (True, -0.2, False),
-        (True, half - 0.1, False),  # still 1.2 m from that lane
-        (True, -half - 0.1, False),
-    ):
-        scene = Scene(1)
-        scene.run(5.0, 2, 5)
-        scene.move(2.0, y)
-        scene.look(passing=passing)
-        assert bool(scene.way.keep_in) is keeps, (passing, y)
-    near = Scene(1, "formation.offsets=[[6, 0], [6, 1.5], [-6, 0.9], [-6, 0]]")
-    near.starts[3] = (6.0, 0.9)
-    near.run(0.2, 2, 3, 4, 5)
-    near.run(5.0, 2, 5)
-    near.move(2.0, half - 0.1)  # nearer to it than it may be outside of its own
-    near.look(passing=True)
-    assert near.way.keep_in
-    assert near.way.hold == ""

@@ -10,8 +10,6 @@ from handfast.agent.control.hand import Pose, advance, hand, wrench
 from handfast.agent.control.safety_filter import (
     BODY,
     HARDER,
-    LEAST_MAX,
-    SEPARATION,
     SPEED,
     STANDING,
     UNSURE,
@@ -129,11 +127,6 @@ def test_two_hands_in_one_place_go_on_through_each_other():
     assert project(1.0, 0.0, [own], 5.0) == (1.0, 0.0, (), 0.0)
 
 
-def test_a_boundary_lets_come_in_as_fast_as_room_is_left():
-    plane = keep_clear("fence", 0.5, 0.0, 1.0, (2.0, -0.3), 0.3, RATE)
-    assert values(plane) == (0.0, 1.0, pytest.approx(6.0 * 0.3 - 9.0 * 0.2), "fence", SEPARATION)
-
-
 def test_round_a_boundary_that_bulges_it_asks_for_more_than_is_needed():
     radius, clearance, x, speed = 0.5, 0.1, 0.65, 0.8
 
@@ -169,13 +162,6 @@ def test_what_the_actuators_can_give_is_a_box_of_accelerations(pose):
         # the nearest is on the edge of the box
         assert abs(given[0]) > force - 1e-6 or abs(given[1]) > torque - 1e-6
         assert u.causes == ("actuators",)
-
-
-def test_an_actuator_without_a_limit_has_no_planes():
-    pose = Pose(0.0, 0.0, 0.0, 1.0, 1.0)
-    assert limit_actuators(pose, 1.0, 1.0, 0.1, None, None) == ()
-    assert [plane.nx for plane in limit_actuators(pose, 1.0, 1.0, 0.1, 2.0, None)] == [1.0, -1.0]
-    assert [plane.ny for plane in limit_actuators(pose, 1.0, 1.0, 0.1, None, 2.0)] == [1.0, -1.0]
 
 
 EAST = HalfPlane(1.0, 0.0, 1.0, "east")
@@ -231,28 +217,10 @@ def test_separation_comes_before_speed_and_the_body_before_both():
     assert u.causes == ("speed", "east", "body")
 
 
-def test_what_the_circle_does_not_reach_is_gone_for_as_far_as_it_goes():
-    u = project(-1.0, 0.0, [HalfPlane(0.6, 0.8, 7.0, "peer", SEPARATION)], 5.0)
-    assert u[:2] == pytest.approx((3.0, 4.0), abs=1e-3)
-    assert u.violation == pytest.approx(2.0)
-
-
 def test_a_body_that_spins_too_fast_for_its_own_limits_is_no_failure_of_separation():
     u = project(0.0, 0.0, [HalfPlane(1.0, 0.0, 9.0, "body", BODY), EAST], 5.0)
     assert u[:2] == pytest.approx((5.0, 0.0), abs=1e-3)
     assert u.violation == 0.0
-
-
-def test_a_demand_without_end_counts_as_a_large_one():
-    u = project(0.0, 0.0, [HalfPlane(1.0, 0.0, float("inf"), "peer"), NORTH], 5.0)
-    assert u[:2] == pytest.approx((5.0, 0.0), abs=1e-3)
-    assert u.violation == pytest.approx(LEAST_MAX, rel=1e-4)
-
-
-def test_planes_that_are_the_same_or_say_nothing_do_no_harm():
-    empty = HalfPlane(0.0, 0.0, 3.0, "nothing")
-    assert project(-4.0, 0.5, [EAST, empty, EAST, EAST], 5.0) == (1.0, 0.5, ("east",), 0.0)
-    assert project(-4.0, 0.5, [empty], 5.0) == (-4.0, 0.5, (), 0.0)
 
 
 @pytest.mark.parametrize("speed", [-1.0, -0.3, 0.0, 0.8])
@@ -322,14 +290,6 @@ def turned_by(pose: Pose, wanted: tuple[float, float], quickest: float) -> float
     ux, uy, _, _ = project(*wanted, planes, 50.0)
     across = -ux * sin(pose.heading) + uy * cos(pose.heading)
     return (across - pose.speed * pose.yaw_rate) / 0.1
-
-
-def test_a_period_takes_away_no_more_turn_than_there_is() -> None:
-    """Braking turns a body that drives fast forwards by -(p + v/L) omega, 15.5 times its turn in a second."""
-    fast = Pose(0.0, 0.0, 0.3, 1.5, 0.4)
-    braking = -0.5 * 1.5 * cos(0.3) + 0.5 * 0.04 * sin(0.3), -0.5 * 1.5 * sin(0.3) - 0.5 * 0.04 * cos(0.3)
-    assert turned_by(fast, braking, inf) == pytest.approx(-15.5 * 0.4)
-    assert turned_by(fast, braking, 3.0) == pytest.approx(-3.0 * 0.4)
 
 
 def test_a_period_swings_no_body_beyond_the_limit_of_its_turn() -> None:

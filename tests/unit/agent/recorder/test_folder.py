@@ -65,43 +65,12 @@ def test_it_never_takes_more_than_its_share(tmp_path: Path) -> None:
             assert on_disk(tmp_path) >= min(count * len(BLOCK), most // 2), "the oldest goes, not all"
 
 
-def test_a_smaller_share_than_before_is_kept_from_the_first_data_on(tmp_path: Path) -> None:
-    with RecordingFolder(tmp_path, 4_000_000, 0) as folder:
-        for _ in range(30):
-            folder.append(BLOCK, ends=folder.is_full_with(len(BLOCK)))
-    with RecordingFolder(tmp_path, 1_200_000, 0) as folder:
-        folder.append(BLOCK)
-        assert on_disk(tmp_path) <= 1_200_000
-
-
-def test_a_name_never_comes_again(tmp_path: Path) -> None:
-    """A copy of a file may be taken for a file of the same name that has grown since."""
-    names = set()
-    for _ in range(5):
-        with RecordingFolder(tmp_path, 16_000_000, 0) as folder:
-            folder.append(b"one")
-        (path,) = recording_files(tmp_path)
-        names.add(path.name)
-        path.unlink()
-    assert len(names) == 5
-
-
 def test_only_recordings_are_removed(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_bytes(b"x" * 2_000_000)
     with RecordingFolder(tmp_path, 1_000_000, 0) as folder:
         for _ in range(20):
             folder.append(BLOCK, ends=folder.is_full_with(len(BLOCK)))
     assert (tmp_path / "notes.txt").exists()
-
-
-def test_a_file_that_somebody_removed_is_not_missed(tmp_path: Path) -> None:
-    with RecordingFolder(tmp_path, 1_000_000, 0) as folder:
-        for _ in range(5):
-            folder.append(BLOCK, ends=folder.is_full_with(len(BLOCK)))
-        recording_files(tmp_path)[0].unlink()
-        for _ in range(20):
-            folder.append(BLOCK, ends=folder.is_full_with(len(BLOCK)))
-        assert on_disk(tmp_path) <= 1_000_000
 
 
 def test_the_reserve_of_the_disk_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,19 +114,6 @@ def test_a_disk_that_takes_a_piece(tmp_path: Path) -> None:
     assert contents(tmp_path) == [b"one", b"three"]
 
 
-def test_a_leftover_that_cannot_be_removed_is_not_in_the_way(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with RecordingFolder(tmp_path, 16_000_000, 0) as folder:
-        with monkeypatch.context() as broken:
-            broken.setattr(recording_folder, "_to_disk", fails(errno.EIO))
-            broken.setattr(Path, "unlink", fails(errno.EIO))
-            with pytest.raises(OSError):
-                folder.append(b"lost")
-        folder.append(b"one")
-    assert contents(tmp_path)[-1] == b"one"
-
-
 def test_one_at_a_time(tmp_path: Path) -> None:
     with (
         RecordingFolder(tmp_path, 16_000_000, 0),
@@ -165,9 +121,3 @@ def test_one_at_a_time(tmp_path: Path) -> None:
     ):
         RecordingFolder(tmp_path, 16_000_000, 0)
     RecordingFolder(tmp_path, 16_000_000, 0).close()
-
-
-def test_a_file_in_its_place(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(FileExistsError):
-        RecordingFolder(tmp_path / "file", 16_000_000, 0)

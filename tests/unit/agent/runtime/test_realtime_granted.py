@@ -11,11 +11,8 @@ from dataclasses import replace
 import pytest
 
 from handfast.agent.fleet.process_section import ProcessSection
-from handfast.agent.runtime import realtime_granted
 from handfast.agent.runtime.realtime_granted import (
     Granted,
-    cores,
-    cpu_list,
     from_json,
     look,
     main,
@@ -30,10 +27,6 @@ NOTHING = Granted(0, (0, 1), (0, 1), locked=False, rtprio=0, memlock=8 << 20, pr
 
 def words(granted: Granted | None, section: ProcessSection = ASKED, *, as_unit: bool = False) -> str:
     return str(said(section, "agent", granted, as_unit=as_unit))
-
-
-def test_all_that_was_asked_for_is_said_without_advice() -> None:
-    assert words(ALL) == "SCHED_FIFO 41, cores 0-1, memory locked"
 
 
 @pytest.mark.parametrize(
@@ -63,12 +56,6 @@ def test_who_may_and_has_not_is_told_of_sandboxes_and_control_groups(refused: Gr
     assert "limits.d" not in found
 
 
-def test_less_than_was_asked_for_is_not_all() -> None:
-    plant = said(ASKED, "plant", ALL, as_unit=False)
-    assert plant.advice, "41 is an agent's"
-    assert "memory not locked" in words(ALL._replace(locked=False))
-
-
 def test_cores_that_are_not_there_are_said_and_which_are() -> None:
     pinned = ProcessSection(realtime=True, cpus=(1, 7))
     found = words(ALL._replace(cpus=(1,)), pinned)
@@ -81,18 +68,6 @@ def test_cores_that_are_not_there_are_said_and_which_are() -> None:
     moved = words(ALL._replace(cpus=(0, 1)), replace(pinned, cpus=(1,)))
     assert "on core 0 as well" in moved
     assert not said(pinned, "agent", ALL._replace(cpus=(1, 7)), as_unit=False).advice
-
-
-def test_what_cannot_be_looked_at_is_no_grant() -> None:
-    assert said(ASKED, "agent", None, as_unit=False).advice
-
-
-def test_lists_of_cores_are_read_and_written_as_the_kernel_does() -> None:
-    assert cpu_list("0-2,6\n") == (0, 1, 2, 6)
-    assert cores((6, 0, 2, 1)) == "cores 0-2, 6"
-    assert cores((3,)) == "core 3"
-    with pytest.raises(ValueError, match="invalid"):
-        cpu_list("")
 
 
 def test_a_process_is_looked_at_while_it_lives() -> None:
@@ -121,8 +96,3 @@ def test_what_is_printed_for_who_looks_over_ssh_is_read_back(capsys: pytest.Capt
     for wrong in ({}, {**ALL._asdict(), "cpus": 7}, {**ALL._asdict(), "threads": 7}, [], "x"):
         with pytest.raises(ValueError, match=r"no answer about real time|invalid literal"):
             from_json(wrong)
-
-
-def test_a_user_without_a_name_is_named_by_what_he_has_to_write(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(realtime_granted.os, "getuid", lambda: 4_000_000)
-    assert "`USER - rtprio 42`" in words(NOTHING)

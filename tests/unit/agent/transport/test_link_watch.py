@@ -6,11 +6,7 @@ handfast.agent.transport.link_watch: what the kernel says, and where it says not
 from __future__ import annotations
 
 import errno
-import os
 import socket
-import sys
-import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,7 +17,6 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.transport.link_watch import (
     DEAF_NS,
     PATIENCE_MAX,
-    PAUSED_NS,
     PERIOD_NS,
     SOON_NS,
     LinkWatch,
@@ -115,29 +110,6 @@ def test_that_goes_for_one_that_was_accepted_too(bench: Bench) -> None:
     assert ended(near)
 
 
-def test_where_nothing_is_read_from_many_at_a_time_none_is_deaf(bench: Bench) -> None:
-    links = [bench.connect() for _ in range(6)]
-    for _ in range(20):
-        for near, far in links:
-            near.send(b"keep-alive")
-            far.send(b"keep-alive")
-        assert bench.look(bench.listener) == []
-    for near, far in links[2:]:
-        near.recv(999)
-        far.recv(999)
-    assert bench.look(bench.listener) == ["", ""], "they had waited for long"
-    assert [ended(near) for near, _ in links] == [True, True, False, False, False, False]
-
-
-def test_nor_where_it_is_looked_at_late(bench: Bench) -> None:
-    near, far = bench.connect()
-    for _ in range(20):
-        near.send(b"keep-alive")
-        far.send(b"keep-alive")
-        assert bench.look(bench.opener, PERIOD_NS + PAUSED_NS + 1) == []
-    assert not ended(far)
-
-
 @pytest.mark.parametrize(("starved", "times"), [(0.02, 1.2), (0.5, 5.0), (3.0, 9.0)])
 def test_a_process_that_waits_for_a_processor_gives_it_longer(
     bench: Bench, starved: float, times: float
@@ -182,39 +154,6 @@ def test_a_process_that_did_not_run_finds_nobody_deaf(bench: Bench) -> None:
         far.send(b"keep-alive")
         assert bench.look(bench.opener, 2 * NS_PER_S) == []
     assert not ended(far)
-
-
-def test_while_something_has_waited_since_the_last_look_it_looks_more_often(bench: Bench) -> None:
-    near, far = bench.connect()
-    bench.look(bench.opener)
-    bench.look(bench.opener)
-    assert bench.opener.period_ns == PERIOD_NS
-    for _ in range(3):  # what waits is another each time
-        far.send(b"a message")
-        bench.look(bench.opener)
-        assert bench.opener.period_ns == PERIOD_NS
-        near.recv(99)
-    far.send(b"a message")
-    bench.look(bench.opener)
-    bench.look(bench.opener)
-    assert bench.opener.period_ns == SOON_NS
-    near.recv(99)
-    bench.look(bench.opener)
-    assert bench.opener.period_ns == PERIOD_NS
-
-
-def test_while_there_is_no_link_to_any_router_it_looks_more_often(bench: Bench) -> None:
-    watch = LinkWatch([], [bench.endpoint], TIMEOUT_S, lambda: bench.opened, one_of=[bench.endpoint])
-    bench.look(watch)
-    assert watch.period_ns == SOON_NS
-    near, far = bench.connect()
-    for _ in range(2):
-        bench.look(watch)
-    assert watch.period_ns == PERIOD_NS
-    near.close()
-    far.close()
-    bench.look(watch)
-    assert watch.period_ns == SOON_NS
 
 
 def test_a_link_that_is_not_answered_is_shut_down_and_the_next_has_more_time(bench: Bench) -> None:
@@ -276,16 +215,6 @@ def test_ipv6(stack: ExitStack) -> None:
     assert not ended(far)
 
 
-def test_sockets_of_others_are_left_alone(bench: Bench, stack: ExitStack) -> None:
-    elsewhere = Bench(stack)
-    not_zenohs, _ = bench.connect(opened=False, like_zenoh=False)
-    another, _ = elsewhere.connect(opened=False)
-    for _ in range(10):
-        bench.look(bench.opener)
-    for each in (not_zenohs, another):
-        each.send(b"still whole")
-
-
 def test_one_that_is_met_before_zenoh_has_set_it_up_is_a_link_all_the_same(bench: Bench) -> None:
     """Between connect(2) and TCP_NODELAY, where a process that is short of time may be looked at."""
     near, far = bench.connect(like_zenoh=False)
@@ -297,13 +226,6 @@ def test_one_that_is_met_before_zenoh_has_set_it_up_is_a_link_all_the_same(bench
     assert ended(far)
 
 
-def test_one_that_never_becomes_a_link_is_soon_looked_at_no_more(bench: Bench) -> None:
-    bench.connect(like_zenoh=False)
-    for _ in range(3):
-        bench.look(bench.opener)
-    assert (bench.opener.calm, bench.opener.period_ns) == ([], PERIOD_NS)
-
-
 def test_a_link_is_opened_anew_where_there_is_one(bench: Bench) -> None:
     _, far = bench.connect()
     bench.look(bench.opener)
@@ -312,33 +234,6 @@ def test_a_link_is_opened_anew_where_there_is_one(bench: Bench) -> None:
     assert not ended(far)
     assert bench.opener.reopen(bench.endpoint, found)
     assert ended(far)
-
-
-def test_at_the_end_what_is_not_open_is_given_up(bench: Bench) -> None:
-    _, far = bench.connect()
-    bench.look(bench.opener)
-    _, opening = bench.connect(opened=False)
-    bench.opener.give_up(bench.sockets.look() or ())
-    assert not ended(far)
-    assert ended(opening)
-
-
-def test_a_name_may_be_anywhere(bench: Bench) -> None:
-    _, far = bench.connect(opened=False)
-    port = bench.endpoint.rpartition(":")[2]
-    watch = LinkWatch([], [f"tcp/robot-one.local:{port}"], TIMEOUT_S, set)
-    for _ in range(10):
-        bench.look(watch, NS_PER_S // 10)
-    assert ended(far)
-
-
-def test_no_descriptor_is_left_behind(bench: Bench) -> None:
-    bench.connect(opened=False)
-    opened = len(os.listdir("/dev/fd"))
-    for _ in range(10):
-        bench.look(bench.opener)
-        bench.look(bench.listener)
-    assert len(os.listdir("/dev/fd")) == opened
 
 
 def test_it_is_calm_when_nothing_waits_for_long_on_any_link_and_all_are_open(bench: Bench) -> None:
@@ -380,53 +275,8 @@ def test_a_deaf_link_is_found_as_soon_after_a_long_calm(bench: Bench) -> None:
 HERE = "handfast.agent.transport.link_watch._TASKS"
 
 
-def test_it_is_that_of_all_threads_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for thread, text in {"7": "5000 300 2\n", "8": "1 40 1\n"}.items():
-        (tmp_path / thread).mkdir()
-        (tmp_path / thread / "schedstat").write_text(text)
-    monkeypatch.setattr(HERE, tmp_path)
-    assert run_delay_ns() == 340
-
-
-def test_what_has_ended_or_says_something_else_is_left_out(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    for thread, text in {"7": "5000 300 2\n", "8": "", "9": "a b c\n", "10": None}.items():
-        (tmp_path / thread).mkdir()
-        if text is not None:
-            (tmp_path / thread / "schedstat").write_text(text)
-    monkeypatch.setattr(HERE, tmp_path)
-    assert run_delay_ns() == 300
-
-
 def test_a_system_that_does_not_say_is_one_without_delay(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(HERE, tmp_path / "none")
     assert run_delay_ns() == 0
-
-
-@pytest.mark.skipif(sys.platform != "linux" or not Path("/proc/self/schedstat").exists(), reason="Linux only")
-def test_threads_that_share_one_core_wait_for_it() -> None:
-    allowed = os.sched_getaffinity(0)
-    waited_ns = run_delay_ns()
-    try:
-        os.sched_setaffinity(0, {min(allowed)})
-        ended = threading.Event()
-
-        def works() -> None:
-            # Without the interpreter's lock, so that both are ready to run.
-            while not ended.is_set():
-                sum(os.urandom(1 << 20)[:1])
-
-        thread = threading.Thread(target=works)
-        thread.start()
-        until_s = time.monotonic() + 20.0
-        while time.monotonic() < until_s and run_delay_ns() - waited_ns < 20_000_000:
-            sum(os.urandom(1 << 20)[:1])
-        found_ns = run_delay_ns() - waited_ns  # a thread that has ended is not counted
-        ended.set()
-        thread.join()
-        assert found_ns >= 20_000_000
-    finally:
-        os.sched_setaffinity(0, allowed)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import resource
 import socket
 import struct
 from collections.abc import Iterator
@@ -37,34 +35,6 @@ def test_a_socket_that_lingers_is_found_and_does_no_more(link: tuple[socket.sock
     near.send(b"still whole")
     assert far.recv(99) == b"still whole"
     assert not near.getblocking(), "nothing else of it has changed"
-
-
-def test_a_link_that_lingers_only_once_it_is_open_is_found_then(
-    link: tuple[socket.socket, socket.socket],
-) -> None:
-    near, _ = link
-    near.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 0, 0))
-    lingering = Lingering()
-    assert lingering.end() == 0
-    near.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
-    assert lingering.end() == 1
-    assert lingering.end() == 0
-
-
-def test_without_a_file_handle_left_it_is_another_time(link: tuple[socket.socket, socket.socket]) -> None:
-    near, _ = link
-    lingering = Lingering()
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    taken = [os.dup(near.fileno()) for _ in range(max(map(int, os.listdir("/dev/fd"))) + 1)]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(taken) + 1, hard))
-    try:
-        assert lingering.end() == 0
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        for each in taken:
-            os.close(each)
-    assert lingering.end() == 1
-    assert linger(near)[0] == 0
 
 
 def test_other_sockets_are_left_alone() -> None:

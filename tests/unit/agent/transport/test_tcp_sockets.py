@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import suppress
 
 import pytest
 
-from handfast.agent.transport.tcp_sockets import Calm, TcpSocket, TcpSockets, borrowed, held, lowest_free
+from handfast.agent.transport.tcp_sockets import Calm, TcpSocket, TcpSockets, borrowed, held
 
 
 @pytest.fixture
@@ -91,61 +90,3 @@ def test_it_is_calm_while_nothing_comes_goes_or_is_opened(link: tuple[socket.soc
     assert calm.lasts()
     calm.end()
     assert not calm.lasts()
-
-
-def test_it_is_calm_while_what_waits_is_read(link: tuple[socket.socket, socket.socket]) -> None:
-    """On a robot's link something waits at every other look, and something else at the next."""
-    near, far = link
-    calm = calm_of(near, far)
-    for _ in range(3):
-        far.send(b"waits")
-        assert calm.lasts()
-        assert calm.waits
-        near.recv(3)
-    assert calm.lasts()
-    assert not calm.lasts()
-
-
-def test_a_link_that_others_close_is_no_calm(link: tuple[socket.socket, socket.socket]) -> None:
-    near, far = link
-    calm = calm_of(near)
-    far.close()
-    assert not calm.lasts()
-
-
-def test_one_that_is_full_is_no_calm(link: tuple[socket.socket, socket.socket]) -> None:
-    near, _ = link
-    calm = calm_of(near)
-    near.setblocking(False)
-    with suppress(BlockingIOError):
-        while True:
-            near.send(bytes(65_536))
-    assert not calm.lasts()
-
-
-def test_a_link_that_took_the_place_of_another_is_no_calm(
-    server: socket.socket, link: tuple[socket.socket, socket.socket]
-) -> None:
-    near, far = link
-    calm, number = calm_of(near, far), near.fileno()
-    near.close()
-    with socket.create_connection(server.getsockname()) as another:
-        assert another.fileno() == number
-        far.close()
-        calm_far = os.open(os.devnull, os.O_RDONLY)  # as many are open as before
-        assert not calm.lasts()
-        os.close(calm_far)
-
-
-def test_what_cannot_be_watched_is_no_calm(server: socket.socket) -> None:
-    with socket.socket() as gone:
-        was = of(gone)
-    calm = Calm()
-    calm.begin([was])
-    assert not calm.lasts()
-
-
-def test_the_lowest_free_number_is_that_of_the_next(server: socket.socket) -> None:
-    expected = lowest_free(server.fileno())
-    with socket.socket() as following:
-        assert following.fileno() == expected

@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.analysis.lattice import lattice
-from handfast.deploy.check import capacity
 from handfast.deploy.check.capacity import (
-    AGENT_COMPILED,
     FULL,
     ROBOTS_MIN,
     ROOMY,
@@ -23,53 +21,18 @@ from handfast.deploy.check.capacity import (
     check_capacity,
     cost_of,
     describe_capacity,
-    describe_cost,
     is_refused,
     overload,
-    slower,
     that_fits,
     used,
 )
 from handfast.deploy.check.check import check
-from handfast.deploy.check.load.network import load_of
-from handfast.deploy.console.data_files import FLEETS
 
 LAPTOP = Machine(2.0, 1.0)
 
 
 def fleet(robots: int, rate_hz: float = 10.0) -> Fleet:
     return resolved(parse_fleet(lattice(f"lattice{robots}", robots, rate_hz=rate_hz), source="many"))
-
-
-def test_a_faster_machine_and_one_of_more_cores_carry_more() -> None:
-    many = fleet(100)
-    few = carried(many, LAPTOP)
-    assert 1.8 * few < carried(many, Machine(4.0, 1.0)) <= carried(many, Machine(2.0, 2.0)) + 1
-    assert carried(many, Machine(2.0, 0.01)) == 0
-
-
-def test_what_is_carried_fits_and_one_more_does_not() -> None:
-    for each in (fleet(24), fleet(100), fleet(45, 20.0)):
-        count = carried(each, LAPTOP)
-        assert used(cost_of(each, count), LAPTOP) <= ROOMY < used(cost_of(each, count + 1), LAPTOP)
-
-
-def test_a_robot_costs_more_where_it_hears_more() -> None:
-    assert cost_of(fleet(24)).agent > cost_of(fleet(13)).agent > cost_of(fleet(13, 5.0)).agent
-    small = cost_of(fleet(24))
-    assert small.routers == 0.0, "a mesh has none"
-    assert small.whole == pytest.approx(24 * (small.agent + small.plant) + small.run)
-
-
-def test_a_machine_carries_more_robots_that_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    python, many = cost_of(fleet(24)), carried(fleet(100), LAPTOP)
-    monkeypatch.setattr(capacity, "COMPILED", True)
-    compiled = cost_of(fleet(24))
-    assert compiled.routers == python.routers
-    assert compiled.agent == AGENT_COMPILED * python.agent < python.agent
-    assert compiled.plant < python.plant
-    assert compiled.run < python.run
-    assert carried(fleet(100), LAPTOP) > 1.1 * many
 
 
 def test_small_fleets_are_never_too_many() -> None:
@@ -136,18 +99,6 @@ def test_check_says_of_what_run_may_refuse_a_minute_later_that_it_may() -> None:
     assert not finding.message.endswith(" at times")
 
 
-def test_at_the_rate_that_is_proposed_a_robot_listens_to_no_more_others_than_before() -> None:
-    many = fleet(60)
-    within = load_of(many).hands / 10.0
-    assert within == 2.0 * len(many.formation.edges) / 60, "its neighbours"
-    for rate_hz in (8.0, 6.0, 4.0, 2.0):
-        assert load_of(slower(many, rate_hz)).hands / rate_hz == pytest.approx(within)
-    fast = {"max_speed_mps": 1.5, "rate_min_hz": 4.0}
-    kept = replace(many.control, plant_timeout_s=1.0, wrench_timeout_s=1.0, **fast)
-    as_fast = replace(many, fleet=replace(many.fleet, rate_hz=4.0), control=kept)
-    assert load_of(as_fast).hands / 4.0 > 3.0 * within, "who is fast brakes late at a low rate"
-
-
 def test_where_no_rate_fits_it_says_so() -> None:
     text = overload(fleet(100), Machine(1.0, 0.05))
     assert text.endswith("; drive fewer, on a larger machine or in virtual time (`handfast simulate`)")
@@ -169,13 +120,6 @@ def test_check_warns_of_what_run_refuses_and_says_what_fits_otherwise() -> None:
     (finding,) = check_capacity(fleet(24), Machine(8.0, 1.0))
     assert finding.level == "info"
     assert finding.message.startswith("this machine (8 cores) carries about ")
-
-
-def test_what_a_robot_costs_in_words() -> None:
-    text = describe_cost(load_fleet(FLEETS / "delta.toml"))
-    assert text.startswith("a robot takes some ")
-    assert "routers" not in text
-    assert ", routers " in describe_cost(fleet(100))
 
 
 def test_cores_that_robots_may_not_use_carry_none() -> None:

@@ -18,22 +18,12 @@ def found(*orders: str) -> list[Finding]:
     return [finding for finding in findings if finding.place.startswith("order")]
 
 
-def test_orders_that_can_be_carried_out_are_not_spoken_of() -> None:
-    stop = '[[order]]\nat = 9\nkind = "stop"\n[[order]]\nat = 12\nkind = "resume"\n'
-    assert found(JOIN.format(at=5), LEAVE.format(at=20, robot=7), stop) == []
-
-
 def test_an_order_depends_on_those_that_are_given_before_it() -> None:
     (finding,) = found(JOIN.format(at=5), JOIN.format(at=6))
     assert finding == Finding(
         "error", "order[2]", "at 6 s, join: robot 7 has a place in the formation already"
     )
     assert found(JOIN.format(at=20), LEAVE.format(at=10, robot=7), JOIN.format(at=5)) == []
-
-
-def test_the_place_is_that_in_the_file() -> None:
-    (finding,) = found(LEAVE.format(at=20, robot=4), LEAVE.format(at=10, robot=4))
-    assert (finding.level, finding.place) == ("error", "order[1]")
 
 
 @pytest.mark.parametrize(

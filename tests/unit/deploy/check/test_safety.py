@@ -11,10 +11,9 @@ from handfast.agent.control.boundaries import Circle, Polygon
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve
-from handfast.deploy.check.description import describe
 from handfast.deploy.check.finding import Finding
 from handfast.deploy.check.paths import Paths
-from handfast.deploy.check.safety import check_safety, parting, start_points
+from handfast.deploy.check.safety import check_safety, parting
 
 # Three robots in a row from west to east, 1 m apart, 0.1 m ahead of their axles; they drive east.
 ROW = """
@@ -91,13 +90,6 @@ def test_starts_outside_the_fence_or_within_its_band() -> None:
     )
 
 
-def test_robots_in_reserve_start_somewhere_as_well() -> None:
-    reserve = "[[robot]]\nid = 9\nx_m = 4.9\ny_m = 1\nreserve = true\n"
-    assert start_points(fleet(reserve))[3].tolist() == [5.0, 1.0]
-    (only,) = said(reserve + circle(5.0, 1.0, 0.5))
-    assert only.startswith("error: robot[4]: robot 9 starts with its hand point inside tree")
-
-
 # --- ways ---
 
 
@@ -143,14 +135,6 @@ def test_places_at_rest_in_an_obstacle_can_never_be_taken() -> None:
     assert "--set" not in only.message
 
 
-def test_a_circle_is_looked_at_once_round() -> None:
-    turn = ("trajectory.kind=circle", "trajectory.centre_m=[0, 0]", "trajectory.radius_m=2.0")
-    one = fleet("", *turn, "trajectory.speed_mps=0.5", "fleet.duration_s=1e6")
-    ways = Paths(one, resolve(one))
-    assert ways.end == pytest.approx(8.0 * pi)
-    assert [robot for robot, _ in ways.below(Circle("post", -2.0, 0.0, 0.01), 0.01)] == [7]
-
-
 def test_a_way_out_of_the_fence_is_an_error_and_within_its_band_a_warning() -> None:
     (outside,) = found(FENCE.format(east=9.5))
     assert (outside.level, outside.place) == ("error", "geofence.points_m")
@@ -158,10 +142,6 @@ def test_a_way_out_of_the_fence_is_an_error_and_within_its_band_a_warning() -> N
     (near,) = found(FENCE.format(east=11.3))
     assert (near.level, near.place) == ("warning", "geofence.warn_m")
     assert "the way of robot 5 (at 19.6 s)" in near.message
-
-
-def test_ways_of_a_formation_that_cannot_be_resolved_are_not_looked_at() -> None:
-    assert list(check_safety(fleet(circle(5.0, 0.0, 0.3)), None)) == []
 
 
 # --- distances ---
@@ -202,35 +182,7 @@ def test_a_gap_that_no_robot_fits_through(obstacles: str, gap: str) -> None:
     assert found(obstacles, f"avoidance.clearance_m={float(gap) / 2 - 0.001}") == []
 
 
-def test_obstacles_that_touch_leave_no_gap() -> None:
-    assert found(circle(5, 3, 1) + circle(5.1, 3, 0.2, "in it") + circle(6.5, 3, 1, "beside")) == []
-    cross = "[[obstacle]]\nname = 'bar'\npoints_m = [[4.9, 1.2], [5.1, 1.2], [5.1, 3], [4.9, 3]]\n"
-    assert found(BOX + cross + circle(5, 2, 0.1)) == []
-
-
 # --- in words ---
-
-
-def test_the_description_says_what_is_kept_away_from() -> None:
-    text = describe(fleet())
-    assert "  avoidance: robots without an edge part below 0.6 m, and listen to each other closely" in text
-    for word in ("obstacle", "geofence", "dead-man", "reserve"):
-        assert word not in text
-    reserve = "[[robot]]\nid = 9\nx_m = 5\ny_m = 1\nreserve = true\n"
-    deadman = "[supervision]\ndeadman_s = 1\n"
-    text = describe(
-        fleet(reserve + circle(5, 3, 1) + circle(9, 3, 1, "post") + FENCE.format(east=12) + deadman)
-    )
-    for line in (
-        "3 robots (3, 7, 5), 2 edges, 50 Hz",
-        "reserve: robot 9 stands by, without a place, until an order to join",
-        "obstacles: tree, post, kept 0.1 m away from",
-        "geofence: 4 corners, x from -2 to 12 m, y from -2 to 2 m; robots are pushed back from 0.5 m inside",
-        "dead-man's switch: robots hold when no operator's heartbeat has come for 1 s",
-    ):
-        assert f"  {line}" in text
-    off = describe(fleet(circle(5, 3, 1), "avoidance.enabled=false"))
-    assert "  avoidance: off: only edges keep robots apart\n  obstacle: tree, not kept away from\n" in off
 
 
 def test_a_fence_of_many_corners_and_a_long_drive_are_quick_to_look_at() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from handfast.deploy.console.wording import ALIKE_MAX, grouped, robots, some
+from handfast.deploy.console.wording import grouped, robots, some
 
 
 def test_names_of_robots_read_as_text() -> None:
@@ -21,15 +21,6 @@ def test_many_are_counted_and_those_that_follow_each_other_are_one_range() -> No
     assert some(["pi1", "pi2"] * 5) == "pi1, pi2, pi1, pi2, pi1, pi2, pi1, pi2 and 2 more"
 
 
-def test_the_same_text_is_said_once() -> None:
-    assert grouped([("silent", 3), ("late", 1), ("silent", 2)]) == [("silent", [3, 2]), ("late", [1])]
-
-
-def test_few_texts_stay_as_they_are() -> None:
-    said = [(f"late by {robot} s", robot) for robot in range(1, ALIKE_MAX + 1)]
-    assert grouped(said) == [(text, [robot]) for text, robot in said]
-
-
 def test_many_texts_that_differ_in_numbers_alone_say_from_which_to_which() -> None:
     said = [(f"robot {robot} is late by {0.9 + robot / 10:.2g} s of 8 s", robot) for robot in range(1, 5)]
     assert grouped([*said, ("late by -3 s", 5)]) == [
@@ -44,18 +35,3 @@ def test_many_texts_that_differ_in_numbers_alone_say_from_which_to_which() -> No
     assert grouped([*several, ("without robots 7, 8 and 9", 4)]) == [
         ("without robots 4, 5, 6, 7, 8 and 9", [1, 2, 3, 4])
     ]
-
-
-def test_one_of_whom_several_such_texts_are_said_is_named_once() -> None:
-    said = [(f"late by {k} s", robot) for k in range(ALIKE_MAX + 1) for robot in (7, 8)]
-    assert [ids for _, ids in grouped(said)] == [[7, 8]]
-
-
-def test_times_of_day_and_addresses_are_no_numbers() -> None:
-    said = [(f"stopped at 12:00:0{k} by 10.0.0.{k}:7447, v1.{k}.0", k) for k in range(1, 7)]
-    assert grouped(said) == [(text, [robot]) for text, robot in said]
-
-
-def test_robots_at_the_beginning_of_a_sentence_are_robots_too() -> None:
-    said = [(f"Robot {robot}: late by {robot} s", robot) for robot in range(1, 5)]
-    assert grouped(said) == [("Robots 1, 2, 3 and 4: late by 1 to 4 s", [1, 2, 3, 4])]

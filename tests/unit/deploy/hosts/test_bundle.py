@@ -114,37 +114,6 @@ def test_wheels_are_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert len(fetched) == 2
 
 
-def test_what_is_left_of_an_older_cache_is_fetched_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def download(platform: Platform, folder: Path) -> None:
-        for name in ("a.whl", "b.whl"):
-            (folder / name).write_bytes(b"abc")
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(bundle, "_download", download)
-    folder = bundle_for(PI, b"x").folder
-    for harm in (lambda: (folder / "b.whl").unlink(), lambda: (folder / "bundle.json").write_text("{")):
-        harm()
-        assert set(bundle_for(PI, b"x").wheels) == {"a.whl", "b.whl"}
-        assert (folder / "b.whl").is_file()
-    assert [path for path in folder.parent.iterdir() if path != folder] == []
-
-
-def test_another_command_may_be_quicker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def download(platform: Platform, folder: Path) -> None:
-        (folder / "a.whl").write_bytes(b"ours")
-        monkeypatch.setattr(bundle, "_download", theirs)
-        with monkeypatch.context() as other:
-            other.setattr(bundle, "_locks", {})  # of another process
-            bundle_for(PI, b"x")
-
-    def theirs(platform: Platform, folder: Path) -> None:
-        (folder / "a.whl").write_bytes(b"theirs")
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(bundle, "_download", download)
-    assert (bundle_for(PI, b"x").folder / "a.whl").read_bytes() == b"theirs"
-
-
 def test_a_registry_that_is_not_there_is_waited_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     asked = []
 
@@ -209,13 +178,6 @@ def test_it_is_for_computers_of_this_machines_kind():
     assert not runs_here((python[0], python[1] + 1), machine, libc)
     assert not runs_here(python, "riscv64", libc)
     assert not runs_here(python, machine, ("", ""))
-
-
-def test_a_c_library_may_be_newer_but_not_older(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(platform, "libc_ver", lambda: ("glibc", "2.36"))
-    python, machine, _ = HERE
-    fits = {version: runs_here(python, machine, ("glibc", version)) for version in ("2.9", "2.36", "2.100")}
-    assert fits == {"2.9": False, "2.36": True, "2.100": True}
 
 
 def test_only_what_is_compiled_is_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -17,7 +17,7 @@ from handfast.agent.fleet.loading import to_dict
 from handfast.deploy.commands.hosts import fetch as fetch_command
 from handfast.deploy.console.arguments import InputError, no_changes
 from handfast.deploy.hosts.connection import HostError
-from handfast.deploy.hosts.fetch import FILES_MAX, NAME_BYTES, SHARE_MAX, Fetching
+from handfast.deploy.hosts.fetch import FILES_MAX, NAME_BYTES, Fetching
 from handfast.deploy.hosts.jobs import Row
 from tests.unit.agent.fleet.test_hosts import HOSTS, fleet
 
@@ -109,15 +109,6 @@ def test_a_host_does_not_choose_where_files_are_written(cache: Path, bad: str) -
     assert [path.name for path in cache.parent.iterdir()] == ["robot-1"]
 
 
-def test_one_that_is_too_large_hides_no_other(cache: Path) -> None:
-    there = There(**{name(1): b"one", name(3): b"three"})
-    huge = [SHARE_MAX * 256_000_000 - 4, 1.0]
-    there.listing = lambda: {name(1): [3, 1.0], name(2): huge, name(3): [5, 1.0]}
-    _, row = bring(there)
-    assert kept(cache) == there.files
-    assert row.step == "fetched 0.0 MB"
-
-
 @pytest.mark.parametrize(
     ("listing", "why"),
     [
@@ -179,21 +170,6 @@ def test_a_disk_that_is_full_here_is_said_to_be_ours(cache: Path, monkeypatch: p
         work(there, Row(HOST.name, (ROBOT,)))  # type: ignore[arg-type]
     assert (work.fall_back(ROBOT) or "").endswith(why)
     assert work.fetched_before == {ROBOT}
-
-
-def test_what_makes_room_while_it_is_brought_is_skipped(cache: Path) -> None:
-    there = There(**{name(1): b"one", name(2): b"two"})
-    there.before_get = lambda file: there.files.pop(file, None) and None if file == name(1) else None
-    work, _ = bring(there)
-    assert kept(cache)[name(2)] == b"two"
-    assert ROBOT in work.folders
-
-
-def test_what_is_there_and_cannot_be_read_is_said(cache: Path) -> None:
-    there = There(**{name(1): b"one"})
-    there.listing = lambda: {name(1): [3, 1.0], name(2): [3, 1.0]}
-    with pytest.raises(HostError, match="no such file"):
-        bring(there)
 
 
 def test_only_what_was_pruned_there_is_removed_here(cache: Path) -> None:

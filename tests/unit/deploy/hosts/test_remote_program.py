@@ -17,7 +17,7 @@ import pytest
 
 from handfast.agent.fleet.hosts import HostSection
 from handfast.deploy.hosts import remote_program, systemd_units
-from handfast.deploy.hosts.connection import HostConnection, HostError
+from handfast.deploy.hosts.connection import HostConnection
 from tests.process.harness import wait_for
 
 FAKE_SSH = '#!/bin/sh\nfor last; do :; done\nexec /bin/sh -c "$last"\n'
@@ -135,14 +135,6 @@ def test_a_router_is_a_unit_of_the_fleet(home: Path, host: HostConnection) -> No
     assert sorted(path.name for path in units(home).iterdir()) == others
 
 
-def test_a_file_that_systemd_has_not_read_counts_as_unwritten(home: Path, host: HostConnection) -> None:
-    host.ask("units", wanted={AGENT: "a"})
-    show(home, 0, NeedDaemonReload="no")
-    assert "unwritten" not in compared(host, agent="a")
-    show(home, 0, NeedDaemonReload="yes")
-    assert compared(host, agent="a")["unwritten"] == [AGENT]
-
-
 CLOSED = f"a\n{systemd_units.TRIED}\nPrivateUsers=yes\nReadWritePaths=-/%d\n{systemd_units.UNTIL}\nb"
 
 
@@ -161,13 +153,6 @@ def test_settings_that_do_not_work_here_are_tried_and_left_out(home: Path, tmp_p
         assert "ReadWritePaths" not in trial
         (home / "tried").unlink()
         assert not list((tmp_path / "runtime/systemd/user").iterdir()), "nothing of it stays"
-
-
-def test_folders_that_a_process_may_write_to_are_there_before_it(home: Path, host: HostConnection) -> None:
-    folders = [str(home / "orders"), "~/state/handfast"]
-    host.ask("units", wanted={AGENT: f"# writes: {json.dumps(folders)}\n"})
-    for folder in (home / "orders", home / "state/handfast"):
-        assert folder.stat().st_mode & 0o777 == 0o700
 
 
 def test_a_unit_runs_as_wanted_when_its_process_is_what_is_wanted(
@@ -210,15 +195,6 @@ def test_a_unit_whose_certificate_was_renewed_since_it_started_does_not_run_as_w
         assert ("stale" in compared(host, agent=runs(sleeper, [certificate]))) is stale
     certificate.unlink()
     assert "stale" not in compared(host, agent=runs(sleeper, [certificate])), "the process will say so"
-
-
-def test_states_of_several_units_are_told_apart(home: Path, host: HostConnection) -> None:
-    show(home, 0, "failed", Result="exit-code")
-    assert host.ask("states", names=[AGENT, STRANGER, OTHER]) == {
-        AGENT: "failed (exit-code)",
-        STRANGER: "active",
-        OTHER: "unknown",
-    }
 
 
 def test_a_version_is_that_of_the_process_not_of_the_file(home: Path, host: HostConnection) -> None:
@@ -384,13 +360,3 @@ def is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def test_versions_stay_while_one_is_installed(home: Path, host: HostConnection) -> None:
-    version = home / ".local/share/handfast/versions/1-aa"
-    version.mkdir(parents=True)
-    with open(home / ".local/share/handfast/.lock", "wb") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(HostError, match="another installation is under way there"):
-            host.ask("tidy", keep=[])
-    assert version.exists()

@@ -10,7 +10,7 @@ import pytest
 from handfast.agent.fleet.hosts import HostSection
 from handfast.deploy.hosts import remote_vehicle
 from handfast.deploy.hosts.connection import HostConnection, HostError
-from handfast.deploy.hosts.remote_vehicle import manager_groups, others, port
+from handfast.deploy.hosts.remote_vehicle import manager_groups, port
 from tests.unit.deploy.hosts.test_remote_program import home as home
 
 
@@ -30,23 +30,6 @@ def process(proc: Path, number: int, name: str, *words: str, groups: str = "") -
 
 def test_a_port_that_is_well_has_nothing_to_tell(terminal: str, tmp_path: Path) -> None:
     assert port(terminal, proc=str(tmp_path)) == {}
-
-
-def test_for_one_that_is_not_there_others_are_named_once_and_by_the_name_that_stays(tmp_path: Path) -> None:
-    (tmp_path / "serial/by-id").mkdir(parents=True)
-    for name in ("ttyACM0", "ttyUSB0", "ttyAMA0", "tty1", "ttyS0"):
-        (tmp_path / name).touch()
-    (tmp_path / "serial/by-id/usb-Autopilot").symlink_to("../../ttyACM0")
-    (tmp_path / "serial0").symlink_to("ttyAMA0")
-    there = [f"{tmp_path}/{name}" for name in ("serial/by-id/usb-Autopilot", "serial0", "ttyUSB0")]
-    assert others(str(tmp_path)) == there
-    assert port(f"{tmp_path}/ttyACM1", dev=str(tmp_path)) == {"there": there}
-
-
-def test_what_is_no_port_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    assert port(str(tmp_path)) == {"kind": "a folder"}
-    assert port(f"{tmp_path}/file") == {"kind": "a file"}
 
 
 def test_one_that_this_user_may_not_open(
@@ -76,25 +59,6 @@ def test_units_have_the_groups_of_when_the_users_systemd_began(
     assert port(terminal, proc=str(tmp_path)) == {"late": remote_vehicle.group_name(group)}
     (tmp_path / "20/status").write_text(f"Gid:\t7\nGroups:\t{group}\n")
     assert port(terminal, proc=str(tmp_path)) == {}
-
-
-def test_a_console_or_login_on_it(terminal: str, tmp_path: Path) -> None:
-    name = os.path.basename(terminal)
-    process(tmp_path, 5, "agetty", "/sbin/agetty", "--keep-baud", "tty1", "vt220")
-    assert port(terminal, proc=str(tmp_path)) == {}
-    process(tmp_path, 6, "agetty", "/sbin/agetty", "--keep-baud", "115200", name, "vt220")
-    assert port(terminal, proc=str(tmp_path)) == {"console": "a login"}
-    (tmp_path / "consoles").write_text(f"tty0   -WU (EC p  )    4:1\n{name}   -W- (E  p a) 204:64\n")
-    assert port(terminal, proc=str(tmp_path)) == {"console": "the kernel's console"}
-
-
-def test_modem_manager_matters_to_usb_ports_alone(
-    terminal: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    process(tmp_path, 7, "ModemManager", "/usr/sbin/ModemManager")
-    assert port(terminal, proc=str(tmp_path)) == {}
-    monkeypatch.setattr(os.path, "realpath", lambda _: "/dev/ttyACM0")
-    assert port(terminal, proc=str(tmp_path)) == {"modem": True}
 
 
 @pytest.mark.usefixtures("home")

@@ -15,9 +15,7 @@ from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.hosts.bundle import Bundle
 from handfast.deploy.hosts.connection import HostError
 from handfast.deploy.hosts.jobs import DONE, FAILED
-from handfast.deploy.hosts.up import BringUp
-from handfast.deploy.inventory.hosts import hosts_of
-from tests.unit.deploy.hosts.test_up import QUICK, Keys, There, View, World, bring, ends
+from tests.unit.deploy.hosts.test_up import QUICK, Keys, There, World, bring, ends
 from tests.unit.deploy.hosts.two_hosts import WHEELS, fleet
 
 UNIT = "handfast-delta-router.service"
@@ -145,29 +143,6 @@ def test_a_router_that_does_not_start_keeps_no_robot_of_its_host(
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "router 1 on rover1: NOT UP"
     assert "robot 1 on rover1: ready" in said
-
-
-def test_where_none_starts_it_is_said_why(world: Routed) -> None:
-    world.failing = set(BOTH)
-    why = "its router is failed \\(exit-code\\): it is broken"
-    with pytest.raises(BusError, match=f"^rover1: {why}; rover2: {why}$"):
-        bring(world, timing=replace(QUICK, present_s=0.3))
-    assert not any(robots == [1, 3, 5] for _, robots in world.log)
-
-
-def test_who_names_hosts_without_routers_hears_which_have_them(world: Routed) -> None:
-    apart = replace(world.fleet, network=replace(world.fleet.network, routers=("rover1",)))
-    hosts = hosts_of(apart, "here", ["rover2"])
-    with pytest.raises(BusError, match="no router answers; bring up rover1, too"):
-        BringUp(apart, hosts, None, accept_new=False, timing=QUICK).run(View(), Interrupt())  # type: ignore[arg-type]
-
-
-def test_while_nobody_is_heard_a_robot_that_drives_is_not_touched(world: Routed) -> None:
-    """As after a change from a mesh to routers."""
-    world.says = {3: "running"}
-    with pytest.raises(BusError, match="rover1: left as it was: robot 3 drives, but is not heard here"):
-        bring(world)
-    assert world.log == []
 
 
 def test_while_the_fleet_drives_routers_start_again_in_their_turns(world: Routed) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 from handfast.agent.messages.types import Status
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.identity import of_robot, of_router
 from handfast.deploy.hosts.connection import Clock, HostError
-from handfast.deploy.hosts.jobs import FAILED, INTERRUPTED, Lines, Row, Terminal
+from handfast.deploy.hosts.jobs import Lines, Row
 from handfast.deploy.hosts.status import (
     HostStatus,
     expiries_on_hosts,
@@ -159,19 +158,6 @@ def test_the_table_tells_all_of_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert "not all robots run the same (1-aa: robot 1; 1-bb: robot 2)" in capsys.readouterr().out
 
 
-def test_lines_say_a_thing_once_and_leave_counts_to_the_table() -> None:
-    stream = io.StringIO()
-    view, row = Lines(stream), Row("left", (1,))
-    for step in ("connecting", "connecting", "sending 3 of 49 MB", "sending 40 of 49 MB", "installing"):
-        row.step = step
-        view.show([row])
-    row.fail("the disk is full")
-    view.show([row])
-    assert stream.getvalue().splitlines() == [
-        "left: connecting", "left: sending 49 MB", "left: installing", "left: FAILED: the disk is full",
-    ]  # fmt: skip
-
-
 def test_anybodys_words_are_text(capsys: pytest.CaptureFixture[str]) -> None:
     told, found = rows()
     told[0]["state"], told[0]["reason"] = "stopped", "[/x] [red]lunch\x1b[2J"
@@ -209,97 +195,3 @@ def test_of_many_hosts_those_that_fail_are_said_and_the_rest_summed_up() -> None
         "149 hosts: down, 3 units ended and removed",
         "150 hosts: down, there was nothing",
     ]
-
-
-def test_of_many_hosts_that_ctrl_c_has_ended_none_is_a_failure() -> None:
-    stream = io.StringIO()
-    view, shown = Lines(stream), many_rows()
-    for row in shown:
-        row.fail(INTERRUPTED)
-    view.show(shown)
-    assert stream.getvalue() == "0 of 300 hosts done, 300 interrupted\n"
-
-
-def test_a_table_of_many_hosts_fits_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LINES", "24")
-    monkeypatch.setenv("COLUMNS", "80")
-    stream = io.StringIO()
-    view, shown = Terminal(stream), many_rows()
-    shown[250].fail("it does not answer")
-    drawn: list[str] = []
-
-    def draw(what: Any) -> None:
-        console = Console(file=io.StringIO(), width=80, height=24)
-        with console.capture() as capture:
-            console.print(what)
-        drawn.append(capture.get())
-
-    monkeypatch.setattr(view, "_draw", draw)
-    view.show(shown)
-    assert len(drawn[0].splitlines()) < 24
-    assert "host251" in drawn[0], "what failed comes first"
-    assert "0 of 300 hosts done, 1 failed, 299 under way" in drawn[0]
-    for row in shown:
-        if row.state != FAILED:
-            row.done("fetched 0.1 MB")
-    view.show(shown)
-    assert [line.split()[:2] for line in drawn[1].splitlines()[1:]] == [
-        ["host251", "251"], ["299", "of"], ["299", "hosts:"],
-    ]  # fmt: skip
-
-
-def fleet_rows(count: int) -> tuple[list[dict[str, Any]], dict[str, HostStatus]]:
-    """An agent and a plant on each of so many hosts, all of them well."""
-    unit = {"result": "success", "restarts": 0, "cpu_percent": 1.0, "memory_mb": 40.0, "up_s": 60.0}
-    quiet = {"says": None, "reason": None, "oldest_ms": None, "version": "1-aa-77"}
-    told = [
-        {"robot": robot, "host": f"host{robot}", "role": role, "unit": "active", **unit, **quiet}
-        | {"state": "running" if role == "agent" else None}
-        for robot in range(1, count + 1)
-        for role in ("agent", "plant")
-    ]
-    return told, {f"host{robot}": HostStatus({}, Clock(0.002, 0.001), 1.5) for robot in range(1, count + 1)}
-
-
-def test_of_many_robots_those_are_shown_where_something_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
-    told, found = fleet_rows(300)
-    print_table(told, found)
-    assert capsys.readouterr().out.splitlines() == [
-        "version 1-aa",
-        "600 processes of 300 robots: 600 active",
-        "agents: 300 running",
-        "300 of 300 hosts: clocks up to 2.0 ms off, load up to 1.5",
-    ]
-    told[8]["state"], told[8]["reason"] = "degraded", "without robot 3"
-    told[21]["unit"] = "failed"
-    told[30]["state"] = None
-    for row in told[40:42]:
-        row["unit"], row["state"] = "unknown", None
-    found["host21"] = HostStatus(error="it does not answer")
-    found["host99"] = HostStatus({}, Clock(0.2, 0.001), 1.5)
-    print_table(told, found)
-    out = capsys.readouterr().out.splitlines()
-    assert [line.split()[:3] for line in out[1:5]] == [
-        ["5", "host5", "agent"], ["11", "host11", "plant"], ["16", "host16", "agent"],
-        ["21", "host21", "agent"],
-    ]  # fmt: skip
-    assert out[5:] == [
-        "host21: it does not answer",
-        "host99: clock 200.0 ms ahead (within 1.0 ms), load 1.5",
-        "version 1-aa",
-        "600 processes of 300 robots: 597 active, 2 unknown, 1 failed",
-        "agents: 297 running, 2 silent, 1 degraded",
-        "299 of 300 hosts: clocks up to 200.0 ms off, load up to 1.5",
-    ]
-    print_table(told, found, each=True)
-    assert len(capsys.readouterr().out.splitlines()) == 1 + 600 + 300 + 1
-
-
-def test_where_no_agent_is_heard_that_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
-    told, found = fleet_rows(300)
-    for row in told:
-        row["state"] = None
-    print_table(told, found)
-    assert capsys.readouterr().out.splitlines()[1:3] == [
-        "600 processes of 300 robots: 600 active", "agents: none is heard",
-    ]  # fmt: skip

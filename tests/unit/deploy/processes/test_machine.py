@@ -30,12 +30,6 @@ def test_it_is_measured_on_the_processors_that_may_be_used_and_leaves_them_as_th
     assert os.sched_getaffinity(0) == allowed
 
 
-def test_one_processor_is_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
-    monkeypatch.delattr(os, "sched_setaffinity")
-    assert measured().cores == 1.0
-
-
 def test_the_fastest_window_counts_of_a_machine_that_others_slow_down(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -67,11 +61,6 @@ def test_a_machine_that_is_slow_for_a_second_is_looked_at_again(monkeypatch: pyt
     assert overload_here(fleet) == "", "the last is fast"
 
 
-def test_a_small_fleet_costs_no_look_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(machine, "measured")
-    assert overload_here(load_fleet(FLEETS / "delta.toml")) == ""
-
-
 @pytest.mark.parametrize(
     ("limits", "processors"),
     [
@@ -91,19 +80,6 @@ def test_a_control_group_may_have_less(tmp_path: Path, limits: dict[str, str], p
         (groups / folder / "cpu.max").write_text(text + "\n")
     assert machine._quota(groups, own) == processors
     assert machine._quota(groups, tmp_path / "absent") == inf
-
-
-def test_processors_of_one_core(tmp_path: Path) -> None:
-    def told(text: str) -> list[int]:
-        (tmp_path / "cpu2" / "topology").mkdir(parents=True, exist_ok=True)
-        (tmp_path / "cpu2" / "topology" / "thread_siblings_list").write_text(text)
-        return machine._siblings(tmp_path, 2)
-
-    assert told("2,10\n") == [10]
-    assert told("2-3\n") == [3]
-    assert told("2\n") == []
-    assert told("?") == []
-    assert machine._siblings(tmp_path, 7) == []
 
 
 def test_the_program_beside_hears_no_ctrl_c_and_ends_with_whoever_started_it() -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import socket
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import tomli_w
 
-from handfast.agent.fleet.loading import digest, load_fleet, parse_fleet, to_dict
+from handfast.agent.fleet.loading import load_fleet, parse_fleet, to_dict
 from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
@@ -51,23 +50,6 @@ def test_bridges_and_rovers_meet_on_ports_behind_those_of_the_fleet(rovers: Flee
     )
 
 
-def test_the_rest_of_the_file_is_as_it_was_and_can_be_read_again(rovers: Fleet) -> None:
-    placed, taken, _ = place(rovers)
-    taken.close()
-    back = tuple(
-        replace(mine, sections=its.sections) for mine, its in zip(placed.robots, rovers.robots, strict=True)
-    )
-    assert replace(placed, robots=back, network=rovers.network) == rovers
-    assert digest(parse_fleet(tomli_w.dumps(to_dict(placed)), source="placed")) == digest(placed)
-
-
-def test_a_fleet_without_vehicles_has_none() -> None:
-    fleet = load_fleet(FLEETS / "pair.toml")
-    placed, taken, vehicles = place(fleet)
-    taken.close()
-    assert (placed.robots, vehicles) == (fleet.robots, ())
-
-
 @pytest.mark.parametrize(
     ("sets", "routers"),
     [
@@ -85,12 +67,6 @@ def test_a_routed_fleet_has_as_many_routers_here_as_its_file_names(sets: list[st
     assert parse_fleet(tomli_w.dumps(to_dict(placed)), source="placed").is_routed == (routers > 0)
 
 
-def test_links_may_take_as_long_here_as_the_file_says() -> None:
-    placed, taken, _ = place(load_fleet(FLEETS / "pair.toml", ["network.link_timeout_s=2.5"]))
-    taken.close()
-    assert placed.network.link_timeout_s == 2.5
-
-
 @pytest.mark.parametrize("heading_deg", ["0", "90", "-135", "30"])
 def test_a_rover_starts_where_its_robot_does(heading_deg: str) -> None:
     fleet = load_fleet(FLEETS / "rovers.toml", [f"robot.4.heading_rad={heading_deg}deg"])
@@ -102,14 +78,6 @@ def test_a_rover_starts_where_its_robot_does(heading_deg: str) -> None:
     # A compass counts clockwise from north.
     compass = (90.0 - float(heading_deg)) % 360.0
     assert yaw * 57.29577951308232 % 360.0 == pytest.approx(compass, abs=1e-4)
-
-
-def test_rovers_differ_by_their_number_and_luck() -> None:
-    fleet = load_fleet(FLEETS / "rovers.toml", ["robot.5.mavlink.system=77", "fleet.seed=9"])
-    assert [options(fleet, robot)["system"] for robot in (1, 5, 6)] == ["1", "77", "6"]
-    assert len({options(fleet, robot)["seed"] for robot in fleet.ids}) == 6
-    assert options(fleet, 1)["seed"] != options(load_fleet(FLEETS / "rovers.toml"), 1)["seed"]
-    assert {"warm", "hand-over"} <= options(fleet, 1).keys()
 
 
 def test_a_port_that_only_udp_uses_is_not_free() -> None:

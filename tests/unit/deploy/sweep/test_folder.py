@@ -145,25 +145,6 @@ def test_a_row_that_is_not_of_the_sweep_is_refused(tmp_path: Path, old: str, new
         SweepFolder(tmp_path, question, make_plan(question))
 
 
-@pytest.mark.parametrize(
-    ("content", "is_ours"), [("run,control.kp,re", True), ("", True), ("my notes", False)]
-)
-def test_of_a_first_line_that_was_cut_off_a_heading_is_made_anew(
-    tmp_path: Path, content: str, is_ours: bool
-) -> None:
-    question = ask("control.kp=0,1")
-    with SweepFolder(tmp_path, question, make_plan(question)):
-        whole = (tmp_path / "results.csv").read_text()
-    (tmp_path / "results.csv").write_text(content)
-    if is_ours:
-        with SweepFolder(tmp_path, question, make_plan(question)):
-            assert (tmp_path / "results.csv").read_text() == whole
-    else:
-        with pytest.raises(SweepError, match="the first line is not this sweep's heading"):
-            SweepFolder(tmp_path, question, make_plan(question))
-        assert (tmp_path / "results.csv").read_text() == content
-
-
 def test_the_folder_of_another_fleet_names_the_fleets(tmp_path: Path) -> None:
     question = ask("control.kp=0,1", repeat=2)
     with SweepFolder(tmp_path / "out", question, make_plan(question)):
@@ -171,12 +152,6 @@ def test_the_folder_of_another_fleet_names_the_fleets(tmp_path: Path) -> None:
     other = ask("control.kp=0,1", fleet="pair", repeat=3)
     with pytest.raises(SweepError, match=r"the fleet is pair, was delta; --repeat is 3, was 2"):
         SweepFolder(tmp_path / "out", other, make_plan(other))
-
-
-def test_a_place_that_is_a_file_is_said_to_be_one(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    with pytest.raises(SweepError, match=r"out is a file: name a folder"):
-        SweepFolder(tmp_path / "out", ask(), make_plan(ask()))
 
 
 def test_what_was_asked_and_then_edited_is_refused(tmp_path: Path) -> None:
@@ -188,47 +163,6 @@ def test_what_was_asked_and_then_edited_is_refused(tmp_path: Path) -> None:
     again = read_question(tmp_path)
     with pytest.raises(SweepError, match=r"sweep\.toml has been changed: .* makes 45 runs, .* runs = 40"):
         SweepFolder(tmp_path, again, make_plan(again))
-
-
-@pytest.mark.parametrize(
-    "left", [{}, {"fleet.toml": 0}, {"fleet.toml": 9}, {"fleet.toml": None, "sweep.toml.new": 0}]
-)
-def test_a_folder_that_was_only_begun_is_taken(tmp_path: Path, left: dict[str, int | None]) -> None:
-    question = ask("control.kp=0,1")
-    for name, size in left.items():
-        (tmp_path / name).write_text(question.text[:size])
-    with SweepFolder(tmp_path, question, make_plan(question)) as folder:
-        fill(folder, range(2))
-    assert (tmp_path / "fleet.toml").read_text() == question.text
-    assert {path.name for path in tmp_path.iterdir()} == {"fleet.toml", "sweep.toml", "results.csv"}
-
-
-def test_a_fleet_file_of_others_is_no_sweep_that_was_begun(tmp_path: Path) -> None:
-    (tmp_path / "fleet.toml").write_text("mine")
-    with pytest.raises(SweepError, match="is not empty and holds no sweep"):
-        SweepFolder(tmp_path, ask(), make_plan(ask()))
-    assert (tmp_path / "fleet.toml").read_text() == "mine"
-
-
-def test_rows_of_two_programs_do_not_come_together(tmp_path: Path) -> None:
-    question = ask("control.kp=0,1", repeat=2)
-    plan = make_plan(question)
-    with SweepFolder(tmp_path, question, plan, "aa"):
-        pass
-    with SweepFolder(tmp_path, question, plan, "bb") as folder:  # nothing was driven yet
-        fill(folder, range(1))
-    with pytest.raises(SweepError, match=r"the 1 of 4 runs .* other Python files, .* \(bb, now aa\)\. Go on"):
-        SweepFolder(tmp_path, question, plan, "aa")
-    file = tmp_path / "sweep.toml"
-    before = file.read_text()
-    file.write_text(before.replace('sources = "bb"\n', ""))
-    with SweepFolder(tmp_path, question, plan, "aa"):  # somebody says that it makes no difference
-        pass
-    file.write_text(before)
-    with SweepFolder(tmp_path, question, plan, "bb") as folder:
-        fill(folder, range(1, 4))
-    with SweepFolder(tmp_path, question, plan, "aa"):  # nothing is to be driven any more
-        pass
 
 
 def test_a_sweep_of_another_version_is_not_said_to_go_on(tmp_path: Path) -> None:

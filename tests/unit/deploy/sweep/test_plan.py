@@ -14,30 +14,22 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, kstest
 
-from handfast.agent.fleet.loading import to_dict
-from handfast.agent.fleet.model import Fleet, FleetError
+from handfast.agent.fleet.model import FleetError
 from handfast.agent.formation.geometry import start_hands
 from handfast.agent.messages.codec import decode
-from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.recording.collector import RunData
-from handfast.deploy.recording.recording import Recording
-from handfast.deploy.recording.tables import Table
 from handfast.deploy.simulate.simulation import Simulation
-from handfast.deploy.simulate.worker_pool import Abandoned, GoOn
+from handfast.deploy.simulate.worker_pool import Abandoned
 from handfast.deploy.sweep import run as run_module
-from handfast.deploy.sweep.figures import PANELS_MAX, write_sweep_figures
+from handfast.deploy.sweep.figures import write_sweep_figures
 from handfast.deploy.sweep.folder import SweepFolder, read_question
 from handfast.deploy.sweep.plan import Plan, Question, make_plan
 from handfast.deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
 from handfast.deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
-from handfast.deploy.sweep.varied import Axis, SweepError, parse_axis
+from handfast.deploy.sweep.varied import SweepError, parse_axis
 from handfast.deploy.verdict.metrics import columns
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.sweep.asked import NEVER, ask, fill, made
-
-DELTA = FLEETS / "delta.toml"
-SHORT = "fleet.duration_s=0.5"
-
 
 # ---------------------------------------------------------------------- the question
 
@@ -133,13 +125,6 @@ def test_all_problems_of_all_cells_are_said_once() -> None:
     assert problems[4].endswith("(with --over fleet.rate_hz=5)")
 
 
-def test_a_formation_that_cannot_be_names_its_cells() -> None:
-    with pytest.raises(FleetError) as raised:
-        make_plan(ask("formation.safe_distance_m=0.2,0.9,1.1", "control.kp=1,2"))
-    (problem,) = raised.value.problems
-    assert str(problem).endswith("(with --over formation.safe_distance_m=1.1)")
-
-
 def test_a_repeat_has_the_same_seed_and_start_in_every_cell() -> None:
     plan = make_plan(ask("control.kp=0,1", "control.c2=0.3,0.6,0.9", repeat=3, random_starts=0.0))
     assert plan.runs == 18
@@ -159,14 +144,6 @@ def test_a_repeat_has_the_same_seed_and_start_in_every_cell() -> None:
     assert {other.run_seed(k) for k in range(3)}.isdisjoint(fleet.fleet.seed for fleet in fleets)
 
 
-def test_without_random_starts_only_the_seed_differs() -> None:
-    plan = make_plan(ask("control.kp=1", repeat=2))
-    first, second = plan.fleet(0), plan.fleet(1)
-    assert first.robots == second.robots == plan.cells[0].robots
-    assert first == replace(second, fleet=first.fleet)
-    assert first.fleet.seed != second.fleet.seed
-
-
 def test_random_starts_lie_in_their_square_and_keep_apart() -> None:
     plan = make_plan(ask("formation.safe_distance_m=0.22,0.4", repeat=4, random_starts=3.0))
     assert plan.gap_m == pytest.approx(0.5)
@@ -184,19 +161,6 @@ def test_random_starts_assign_places_unless_told_not_to() -> None:
     assert varied.fleet(1).robots == assigned.robots
     assert varied.fleet(1).formation.edges == make_plan(ask()).fleet(0).formation.edges
     assert assigned.formation.edges != varied.fleet(1).formation.edges
-
-
-def test_room_for_random_starts_grows_with_the_fleet() -> None:
-    assert make_plan(ask(random_starts=0.0)).side_m == 4.0
-    large = make_plan(ask(fleet="lattice45", random_starts=0.0))
-    assert large.side_m == pytest.approx(4.0 * (45 / 6) ** 0.5, abs=0.01)
-    large.fleet(0)
-
-
-def test_order_gives_every_cell_its_first_repeat_first() -> None:
-    plan = make_plan(ask("control.kp=0,1,2", repeat=2))
-    assert list(plan.order()) == [0, 2, 4, 1, 3, 5]
-    assert plan.name(2) == "control.kp=2"
 
 
 # ---------------------------------------------------------------------- one run
@@ -231,44 +195,6 @@ def test_a_run_is_measured_as_simulate_measures_it(more: tuple[str, ...]) -> Non
     assert replace(execute(plan, 1), wall_s=0.0) == replace(row, wall_s=0.0)
 
 
-def test_a_run_that_is_not_safe_says_so() -> None:
-    # Robots of an edge that start closer than the safe distance.
-    overrides = (SHORT, "robot.2.x_m=-1.0", "robot.2.y_m=1.3", "robot.2.heading_rad=0")
-    row = execute(make_plan(ask(overrides=overrides)), 0)
-    assert (row.safe, row.settled, row.good, row.verdict) == (False, False, False, FAILED)
-    assert row.numbers["min_distance_m.any"] < 0.22
-    assert "came within" in row.reason
-
-
-def test_robots_without_an_edge_count_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    def met(fleet: Fleet, go_on: GoOn) -> Recording:
-        """Robots 1 and 4, which share no edge, meet after half of the time."""
-        recording = real(fleet, go_on)
-        one, four = recording.robots[1], recording.robots[4]
-        values = four.plant.values.copy()
-        half = len(values) // 2
-        values[half:, :3] = one.plant.values[half : len(values), :3]
-        other = replace(four, plant=Table(four.plant.names, four.plant.t, values))
-        return replace(recording, robots={**recording.robots, 4: other})
-
-    real = run_module.drive
-    monkeypatch.setattr(run_module, "drive", met)
-    row = execute(make_plan(ask(overrides=(SHORT,))), 0)
-    assert (row.safe, row.verdict) == (False, FAILED)
-    assert row.reason.startswith("Robots 1 and 4, which share no edge, came within 0.000 m")
-    assert execute(make_plan(ask(overrides=(SHORT, "avoidance.enabled=false"))), 0).safe is False
-
-
-def test_a_formation_far_behind_its_course_has_not_settled() -> None:
-    fast = ("trajectory.kind=line", "trajectory.velocity_mps=[3.0, 0.0]", "fleet.duration_s=8")
-    there = [
-        f"robot.{k}.{axis}={v}" for k, x in ((1, -0.6), (2, 0.4)) for axis, v in (("x_m", x), ("y_m", 0))
-    ]
-    row = execute(make_plan(ask(fleet="pair", overrides=(*fast, *there, "robot.2.heading_rad=0"))), 0)
-    assert row.numbers["final_distance_error_m"] < 0.05, "by its edges it has"
-    assert (row.safe, row.settled, row.good, row.verdict) == (True, False, False, FAILED)
-
-
 @pytest.mark.parametrize("kind", [ZeroDivisionError, KeyboardInterrupt])
 def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]) -> None:
     def broken(*_: object) -> None:
@@ -278,12 +204,6 @@ def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch, kind: type[
     row = execute(make_plan(ask(repeat=2)), 1)
     assert (row.run, row.verdict, row.safe, row.settled, row.numbers) == (1, CRASHED, None, None, {})
     assert row.reason.startswith(f"{kind.__name__}: some thing (test_plan.py, line ")
-
-
-def test_a_start_without_room_is_a_row() -> None:
-    row = execute(make_plan(ask(random_starts=0.3)), 0)
-    assert row.verdict == CRASHED
-    assert "no room for 6 robots" in row.reason
 
 
 def test_a_run_is_abandoned_when_told() -> None:
@@ -331,13 +251,6 @@ def test_a_cell_in_numbers() -> None:
     assert (second.good, second.trouble) == (5, "")
 
 
-def test_the_closest_are_any_two() -> None:
-    plan = make_plan(ask("avoidance.enabled=true,false"))
-    on, off = summarise(plan, {run: made(plan, run) for run in range(2)})
-    assert (on.least_m, off.least_m) == (0.5, 0.5)
-    assert (on.quantiles["min_distance_m"]["median"], off.quantiles["min_distance_m"]["median"]) == (0.5, 0.5)
-
-
 def test_runs_that_never_settle_count_as_later_than_all_others() -> None:
     plan = make_plan(ask("control.kp=0", repeat=4))
     rows = {run: made(plan, run, settling_time_s=NEVER) for run in (1, 3)}
@@ -378,33 +291,6 @@ def test_margin_is_the_last_value_before_the_first_trouble(axis: int) -> None:
         "faults.delay with control.kp=2: safe and settled up to 50ms (200ms: 1 of 2 unsafe)",
         "faults.delay with control.kp=3: none, not even 0 is safe and settled (1 of 2 unsafe)",
     ]
-
-
-def test_margin_does_not_reach_over_a_value_that_failed() -> None:
-    plan = make_plan(ask("control.kp=0,1,2"))
-    cells = summarise(plan, rows_of(plan, {1: made(plan, 1, settling_time_s=NEVER)}))
-    (margin,) = margins(plan, cells, 0)
-    assert (margin.largest, margin.failed, margin.trouble) == ("0", "1", "1 of 1 not settled")
-
-
-def test_field_of_the_margin() -> None:
-    plan = make_plan(ask("control.coupling=edge,joint", "control.kp=0,1", "faults.delay=0,1s"))
-    assert margin_axis(plan, None) == 2
-    assert margin_axis(plan, "control.kp") == 1
-    assert margin_axis(make_plan(ask("control.coupling=edge,joint", "control.kp=0,1")), None) == 1
-    assert margin_axis(make_plan(ask("control.coupling=edge,joint")), None) is None
-    with pytest.raises(
-        SweepError, match=r"--margin control\.c1 is not varied: varied are control\.coupling,"
-    ):
-        margin_axis(plan, "control.c1")
-    with pytest.raises(SweepError, match="its values are no numbers"):
-        margin_axis(plan, "control.coupling")
-
-
-def test_a_field_that_is_drawn_has_no_margin() -> None:
-    plan = make_plan(ask("faults.delay=0..1s", "control.kp=0,1"))
-    with pytest.raises(SweepError, match=r"--margin faults\.delay: every run draws it, so it has no margin"):
-        margin_axis(plan, "faults.delay")
 
 
 def test_summaries_hold_every_cell() -> None:
@@ -462,23 +348,6 @@ def test_pictures_are_drawn_and_the_same_again(
         assert {path.name for path in paths} == names
         written.append([path.read_bytes() for path in paths])
     assert written[0] == written[1]
-
-
-@pytest.mark.slow
-def test_what_pictures_leave_out_is_said(tmp_path: Path) -> None:
-    plan = make_plan(
-        ask("control.kp=0,1", "control.c2=1,2", f"control.c1={','.join(map(str, range(1, 15)))}")
-    )
-    cells = summarise(plan, rows_of(plan))
-    _, left_out = write_sweep_figures(tmp_path, plan, cells, 0, margins(plan, cells, 0))
-    assert (
-        left_out == f"the pictures show {PANELS_MAX} of 14 combinations of control.c1; all are in summary.csv"
-    )
-
-
-def test_axis_is_a_value() -> None:
-    assert parse_axis("control.kp=1,2") == Axis("control.kp", ("1", "2"), (1.0, 2.0), "1/s2")
-    assert to_dict(make_plan(ask("control.kp=1,2")).fleet(1))["control"]["kp"] == 2.0
 
 
 # --- fields that are drawn ------------------------------------------------------------------------

@@ -28,7 +28,6 @@ from tests.unit.agent.control.peers.neighbours import (
     predicted,
     rows,
     standing,
-    total,
 )
 from tests.values import values
 
@@ -81,12 +80,6 @@ def test_a_robot_that_brakes_coasts_from_its_message():
     heard(known, message(5), braking)
     assert values(predicted(known, 2, T0 + S)) == values(coasting(braking, 2.0))
     assert values(predicted(known, 5, T0 + S)) != values(coasting(message(5), 1.0))
-
-
-def test_a_robot_without_a_place_coasts():
-    stray = message(7, 0, T0, True, (1.0, 2.0), (0.5, 0.0))
-    known = heard(peers(), stray)
-    assert values(predicted(known, 7, T0 + S)) == values(coasting(stray, 1.0))
 
 
 def test_a_robot_whose_process_is_gone_brakes():
@@ -157,25 +150,6 @@ def test_a_link_that_is_always_late_is_not_silent(late_s: float):
     assert not known.get(2).is_heard(now + UNSURE_NS + PERIOD + round(0.3 * S))
 
 
-def test_what_comes_rarely_is_expected_rarely():
-    often, rarely = peers(), peers()
-    now = {known: stream(known, 2, 60, PERIOD, every) for known, every in ((often, 1), (rarely, 15))}
-    gap = UNSURE_NS + PERIOD
-    assert not often.get(2).is_heard(now[often] + gap)
-    assert rarely.get(2).is_heard(now[rarely] + gap)
-
-
-def test_one_outage_does_not_make_a_link_late():
-    known = peers()
-    now = stream(known, 2, 60, PERIOD)
-    heard(known, message(2, 2000, now + 10 * S), now_ns=now + 10 * S + PERIOD)
-    assert known.get(2).lateness.forgiven_ns < S // 2
-    for k in range(1, 30):
-        stamp = now + 10 * S + k * PERIOD
-        heard(known, message(2, 2000 + k, stamp), now_ns=stamp + PERIOD)
-    assert known.get(2).lateness.forgiven_ns == 0
-
-
 @pytest.mark.parametrize("stands", [True, False])
 def test_a_robot_whose_process_stands_now_and_then_is_silent_and_not_late(stands: bool):
     """Its body brakes meanwhile: predicted as one that drives on, it would be where nobody looks for it."""
@@ -189,17 +163,6 @@ def test_a_robot_whose_process_stands_now_and_then_is_silent_and_not_late(stands
         assert lateness.forgiven_ns == 0
     else:  # lost by its link, they are what is usual there
         assert lateness.forgiven_ns > S // 2
-
-
-@pytest.mark.parametrize("knows", [True, False])
-def test_who_does_not_know_where_its_body_is_may_fall_silent_for_that(knows: bool):
-    known, stamp = peers(), T0
-    for k in range(200):
-        lost = not knows and k % 12 == 11
-        stamp += PERIOD if k % 12 else 8 * PERIOD
-        said = message(2, k, stamp, not lost)._replace(doubt=0.1 if lost else 0.0)
-        heard(known, said, now_ns=stamp + PERIOD)
-    assert (known.get(2).lateness.forgiven_ns > S // 2) is knows
 
 
 @pytest.mark.parametrize("stands", [True, False])
@@ -243,33 +206,6 @@ def test_nothing_is_forgiven_the_late_link_of_a_robot_that_stood_lately(stood_ms
     assert lateness.forgiven_ns > S // 2
 
 
-@pytest.mark.parametrize("own", [False, True])
-def test_of_a_robot_that_stands_what_is_late_is_as_late_as_ever(own: bool):
-    """Nobody predicts it as driving on; and of a fleet that stands for a slow machine all are late."""
-    known, late_ns = peers(), 8 * S // 10
-    for k in range(100):
-        stamp = T0 + k * PERIOD
-        if own:
-            known.stood_until_ns = stamp + S
-        said = message(2, k, stamp)._replace(following=k < 50, stood_ms=0 if own else 300)
-        heard(known, said, now_ns=stamp + late_ns)
-        assert (known.get(2).lateness.forgiven_ns > S // 2) is (k >= 50), k
-
-
-def test_who_stood_lately_is_heard_until_its_next_message_was_promised():
-    known, next_ns = peers(), 4 * S // 10
-    peer = known.get(2)
-    known.listen({2}, T0)
-    for k in range(30):
-        stamp = T0 + k * next_ns
-        if k % 5 == 0:
-            known.accept_beacon(beacon(2, stamp - PERIOD)._replace(next_ms=2000, stood_ms=150), stamp)
-        said = message(2, k, stamp)._replace(next_ms=400, stood_ms=150)
-        heard(known, said, now_ns=stamp + PERIOD)
-    assert peer.is_heard(stamp + next_ns)
-    assert not peer.is_heard(stamp + next_ns + UNSURE_NS + PERIOD)
-
-
 @pytest.mark.parametrize(
     ("rate_hz", "full_hz"), [(2.0, 2.0), (3.0, 3.0), (4.0, 4.0), (4.0, 16.0), (5.0, 5.0), (5.0, 20.0)]
 )
@@ -286,19 +222,6 @@ def test_who_is_in_time_is_heard_at_any_rate_though_processes_stood(rate_hz: flo
     peer = known.get(2)
     assert peer.is_heard(stamp + period)
     assert not peer.is_heard(stamp + 2 * period)
-
-
-def test_nothing_is_forgiven_while_the_own_process_stood_lately():
-    known, late_ns = peers(), 8 * S // 10
-    known.stood_until_ns = T0 + late_ns + 4 * S
-    for k in range(200):
-        stamp = T0 + k * PERIOD
-        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
-        assert known.get(2).lateness.forgiven_ns == 0
-    for k in range(200, 260):
-        stamp = T0 + k * PERIOD
-        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
-    assert known.get(2).lateness.forgiven_ns > S // 2
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.5])
@@ -329,33 +252,6 @@ def test_no_more_than_so_much_is_forgiven():
 # ---------------------------------------------------------------------- multipliers and degrees
 
 
-def test_a_copy_of_the_shared_multiplier_is_taken_once():
-    known = heard(
-        peers(),
-        message(2, multipliers=((7, 100.0), (1, 3.0)), degree=3),
-        message(5, multipliers=((7, 5.0),)),  # not about this edge
-    )
-    assert known.take_copy(2) == 3.0
-    assert known.take_copy(2) is None
-    assert known.take_copy(5) is None
-    assert known.take_copy(4) is None  # never heard of
-    heard(known, message(2, 1, T0 + PERIOD, multipliers=((1, -2.0),)), now_ns=T0 + 2 * PERIOD)
-    heard(known, message(2, 2, T0 + 2 * PERIOD, multipliers=()), now_ns=T0 + 3 * PERIOD)
-    assert known.take_copy(2) is None  # the latest has none
-    assert known.get(2).degree == 1
-
-
-def test_at_a_late_tick_a_message_that_was_to_wait_is_not_overtaken_by_the_next():
-    known = peers(standing)
-    heard(known, message(2, 0, T0), now_ns=T0 + PERIOD)
-    now_ns = T0 + 2 * PERIOD  # others are a period ahead of it, and more
-    for number in (1, 2, 3):
-        assert known.accept(message(2, number, T0 + number * PERIOD), now_ns) is None
-    known.begin(now_ns + PERIOD)
-    peer = known.get(2)
-    assert (peer.received, peer.lost, peer.sequence) == (4, 0, 3)
-
-
 # ---------------------------------------------------------------------- beacons that come seldom
 
 
@@ -376,18 +272,6 @@ def test_within_what_a_robot_said_it_is_not_silent():
     due = seldom(known, due, 400)
     assert not peer.is_heard(due + S // 2), "it has something to tell: the next comes soon"
     assert peer.is_heard(seldom(known, due))
-
-
-def test_nor_is_one_that_was_listened_to_until_just_before_it_said_it():
-    known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S)
-    known.listen({2}, T0)
-    for k in range(8):
-        heard(known, message(2, k, T0 + k * PERIOD), now_ns=T0 + (k + 1) * PERIOD)
-    known.listen(set(), T0 + 8 * PERIOD)
-    known.ignore(2)
-    due = seldom(known, T0 + 9 * PERIOD)
-    assert known.get(2).is_heard(due)
-    assert not known.get(2).is_heard(due + S)
 
 
 def test_where_messages_are_lost_more_is_forgiven_one_that_speaks_seldom():
@@ -412,26 +296,6 @@ def test_who_begins_to_be_listened_to_must_be_heard_at_once():
     heard(known, message(2, 5, now), now_ns=now + PERIOD)
     assert peer.is_heard(now + UNSURE_NS - PERIOD)
     assert not peer.is_heard(now + UNSURE_NS + PERIOD)
-
-
-def test_what_was_on_its_way_when_a_robot_was_ignored_promises_nothing():
-    known, late_ns = peers(beacon_ns=S // 5, beacon_max_ns=2 * S), 3 * S // 10
-    seldom(known, T0, late_ns=late_ns)
-    peer = known.get(2)
-    known.listen({2}, T0 + late_ns)
-    for k in range(1, 30):
-        stamp = T0 + k * PERIOD
-        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
-    known.ignore(2)
-    for k in range(30, 40):
-        stamp = T0 + k * PERIOD
-        heard(known, message(2, k, stamp), now_ns=stamp + late_ns)
-    now = T0 + 40 * PERIOD + late_ns
-    assert peer.is_heard(now + S)
-    known.listen({2}, now + S // 2)
-    stamp = now + S // 2 + PERIOD
-    heard(known, message(2, 90, stamp), now_ns=stamp + late_ns)
-    assert peer.lost == 0, "they were not listened to"
 
 
 def test_beacons_alone_are_not_enough_of_one_that_is_listened_to():
@@ -473,47 +337,6 @@ def promising(time_ns: int, periods: int, rounds: int = 0, **fields: Any) -> Han
     return message(2, rounds, time_ns, **fields)._replace(next_ms=periods * PERIOD // 1_000_000)
 
 
-def test_rounds_in_which_none_was_due_are_not_lost_but_what_was_promised_is():
-    known = peers(bound_m=0.005)
-    for k in (0, 1, 3, 7, 15):
-        heard(known, promising(T0 + k * PERIOD, k + 1, k), now_ns=T0 + (k + 1) * PERIOD)
-    assert (total(known, "received"), total(known, "lost")) == (5, 0)
-    heard(known, promising(T0 + 47 * PERIOD, 16, 47), now_ns=T0 + 48 * PERIOD)  # the one of round 31
-    assert total(known, "lost") == 1
-    heard(known, promising(T0 + 48 * PERIOD, 1, 48), now_ns=T0 + 49 * PERIOD)  # news
-    assert total(known, "lost") == 1
-
-
-def test_a_promise_is_no_lateness_while_beacons_come():
-    known, peer = peers(bound_m=0.005, beacon_ns=10 * PERIOD), None
-    heard(known, promising(T0, 50))
-    for k in range(10, 60, 10):
-        assert known.accept_beacon(beacon(2, T0 + k * PERIOD), T0 + (k + 1) * PERIOD) is None
-        peer = known.get(2)
-        assert peer.is_heard(T0 + (k + 10) * PERIOD)
-        late_ns = peer.hand_late_ns(T0 + (k + 10) * PERIOD)
-        assert late_ns is not None
-        assert late_ns <= 10 * PERIOD
-    assert peer is not None
-    now_ns = T0 + 50 * PERIOD + UNSURE_NS
-    assert not peer.is_heard(now_ns)  # nothing comes any more, whatever it promised
-    late_ns = peer.hand_late_ns(now_ns)
-    assert late_ns is not None
-    assert late_ns >= UNSURE_NS
-    assert not total(known, "lost")
-
-
-def test_one_whose_beacons_come_alone_is_late_from_its_promise_on():
-    known = peers(bound_m=0.005, beacon_ns=10 * PERIOD)
-    heard(known, promising(T0, 50))
-    for k in range(10, 200, 10):
-        known.accept_beacon(beacon(2, T0 + k * PERIOD), T0 + (k + 1) * PERIOD)
-    late_ns = known.get(2).hand_late_ns(T0 + 200 * PERIOD)
-    assert late_ns is not None
-    assert late_ns >= 200 * PERIOD - 50 * PERIOD - PERIOD
-    assert known.get(2).is_heard(T0 + 200 * PERIOD)
-
-
 def test_within_a_promise_a_beacon_brings_the_place_and_leaves_the_forces():
     known = peers(standing, bound_m=0.005, decay=0.9)
     said = promising(T0, 50, position=(3.0, 4.0), constraint=(0.4, 0.0))
@@ -536,55 +359,7 @@ def test_a_beacon_of_one_that_does_not_follow_any_more_leaves_no_forces():
     assert predicted(known, 2, then_ns).constraint == (0.0, 0.0)
 
 
-def test_a_hand_state_that_a_beacon_has_overtaken_still_brings_its_forces():
-    known = peers(standing, bound_m=0.005, decay=0.9)
-    heard(known, promising(T0, 1, position=(3.0, 4.0)))
-    then_ns = T0 + 10 * PERIOD
-    known.accept_beacon(beacon(2, then_ns, (3.1, 4.0)), then_ns + PERIOD)
-    heard(known, promising(T0 + 5 * PERIOD, 2, 5, constraint=(0.4, 0.0)), now_ns=then_ns + 2 * PERIOD)
-    found = predicted(known, 2, then_ns)
-    assert found.position == (3.1, 4.0)
-    assert found.constraint[0] == pytest.approx(0.4 * np.exp(-0.9 * 0.1))
-
-
-def test_whose_hand_states_are_not_listened_to_any_more_promises_nothing():
-    known = peers(bound_m=0.005)
-    heard(known, promising(T0, 50))
-    known.ignore(2)
-    heard(known, promising(T0 + 30 * PERIOD, 1, 30), now_ns=T0 + 31 * PERIOD)
-    assert total(known, "lost") == 0
-    assert known.get(2).hand_next_ns == PERIOD
-
-
 # ---------------------------------------------------------------------- lower rates, late ticks
-
-
-def test_hand_states_that_were_not_to_come_are_not_lost() -> None:
-    known = peers(predict=True)
-    heard(known, message(2, 100, T0)._replace(next_ms=80))
-    for rounds in (4, 8, 12):
-        now_ns = T0 + (rounds + 1) * PERIOD
-        heard(known, message(2, 100 + rounds, T0 + rounds * PERIOD)._replace(next_ms=80), now_ns=now_ns)
-    peer = known.get(2)
-    assert (peer.lost, peer.delayed, peer.lateness.forgiven_ns) == (0, 0, 0)
-    heard(known, message(2, 120, T0 + 20 * PERIOD), now_ns=T0 + 21 * PERIOD)
-    assert peer.lost == 1  # that of round 16; from now on one comes in every round
-    heard(known, message(2, 123, T0 + 23 * PERIOD), now_ns=T0 + 24 * PERIOD)
-    assert peer.lost == 3
-
-
-def test_what_comes_at_a_late_tick_was_not_quicker_than_it_was() -> None:
-    """Without, two messages that were sent after the tick's own time would put the clock of robot 2 ahead."""
-    known = peers()
-    known.keep_pace(4 * PERIOD)
-    for rounds in range(0, 40, 4):
-        now_ns = T0 + rounds * PERIOD
-        known.begin(now_ns)
-        known.behind_ns = 3 * PERIOD  # it begins so much after its time, and takes what was sent until then
-        heard(known, message(2, rounds + 2, now_ns + 2 * PERIOD, heard=((1, 20_000),)), now_ns=now_ns)
-    clock = known.get(2).clock
-    assert clock.least_us == PERIOD // 1000
-    assert (clock.offset_us, clock.used_ns) == (0, 0)
 
 
 def test_who_may_have_spoken_while_the_own_process_stood_is_not_given_up() -> None:

@@ -17,11 +17,9 @@ from handfast.agent.control.peers.rolling import (
     KEEPS_M,
     MOVES,
     SPEED_LAGS,
-    SPEED_LEADS_S,
     STAND,
     STEP_S,
     STOPS_S,
-    TURN_LEADS_S,
     TURN_SHARE,
     Ability,
     Move,
@@ -30,16 +28,12 @@ from handfast.agent.control.peers.rolling import (
     arc,
     arc_of,
     asked,
-    begin_of,
     clearance,
     is_somewhere_on,
-    middle,
     moves,
     out_of_the_way,
     rolled,
     rolls_of,
-    room_to_know,
-    setpoint,
 )
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.messages.types import HandState
@@ -79,13 +73,6 @@ def test_its_way_leads_from_where_it_was_heard_to_where_it_rests():
     assert [t for t, _, _ in way] == sorted(t for t, _, _ in way)
 
 
-def test_what_it_obeys_is_what_it_had_begun_to_do():
-    heading, speed, yaw_rate = setpoint(-0.5, 0.4, 0.1, along=0.5, spin=-2.0)
-    assert (heading, speed, yaw_rate) == pytest.approx(
-        (tau - 0.5, 0.4 + 0.5 * SPEED_LEADS_S, 0.1 - 2.0 * TURN_LEADS_S)
-    )
-
-
 def test_one_that_says_what_it_obeys_turns_and_any_other_goes_straight_on():
     message = HandState.placed(2, 0, 0, True, 1, (0.0, 0.0, 0.3, 0.4))
     _, x, y = arc_of(message, ROLLS)[-1]
@@ -93,25 +80,6 @@ def test_one_that_says_what_it_obeys_turns_and_any_other_goes_straight_on():
     _, x, y = arc_of(message._replace(obeys=((0.0, 0.5, pi / ROLLS.for_s),)), ROLLS)[-1]
     assert x == pytest.approx(-2.0 * REACH)  # it has turned about
     assert y == pytest.approx(2.0 * 0.5 * ROLLS.for_s / pi)
-
-
-@given(
-    heading=st.floats(0.0, 6.28),
-    speed=st.floats(0.1, 1.0),
-    yaw_rate=st.floats(-1.5, 1.5),
-    x=st.floats(-9.0, 9.0),
-)
-def test_from_the_middle_of_its_way_that_is_found_again(
-    heading: float, speed: float, yaw_rate: float, x: float
-) -> None:
-    """One whose plant is lost tells a circle, and what its body went on by."""
-    obeys = heading, speed, yaw_rate
-    way = arc(x, 2.0, obeys, ROLLS)
-    message = HandState.placed(2, 0, 0, False, 1, (*middle(way), 0.0, 0.0), 1.9, (obeys,))
-    assert is_somewhere_on(message)
-    for (after, *at), (_, *there) in zip(arc_of(message, ROLLS), way, strict=True):
-        assert after == 0.0, "nobody knows for how long it has gone on"
-        assert at == pytest.approx(there, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -140,21 +108,6 @@ def test_it_goes_by_what_it_was_asked_for_once_it_has_taken_that_up() -> None:
     assert asked(-0.5, 0.3, 0.3, 0.0) == (pytest.approx(tau - 0.5), 0.3, 0.0)
     _, speed, yaw_rate = asked(0.0, 0.2, 0.8, -0.4)
     assert (speed, yaw_rate) == pytest.approx((0.8 - SPEED_LAGS * 0.6, TURN_SHARE * -0.4))
-
-
-def test_the_circle_round_its_way_tells_where_that_began() -> None:
-    way = arc(1.0, 2.0, (0.5, 0.8, -0.3), ROLLS)
-    said = HandState.placed(2, 0, 0, False, 0, (*middle(way), 0.0, 0.0), 1.7, ((0.5, 0.8, -0.3),), 520)
-    assert is_somewhere_on(said)
-    assert begin_of(said, ROLLS) == pytest.approx((1.0, 2.0))
-
-
-def test_who_hears_of_it_from_so_far_away_stands_before_it_comes() -> None:
-    """Both drive at each other: it rolls for all its time, the other one until it knows, and brakes."""
-    rolls, speed, timeout, hardest, keep = 3.0, 0.9, 0.5, 0.8, 1.0
-    apart = room_to_know(rolls, speed, timeout, hardest, keep)
-    left = apart - speed * (rolls + STOPS_S) - speed * timeout - speed * speed / hardest / 2
-    assert left == pytest.approx(keep)
 
 
 CAN = Ability(0.8, 0.9, 1.0, 0.4)

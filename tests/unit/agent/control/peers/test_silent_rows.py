@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.peers.peers import Peers
 from handfast.agent.control.peers.rolling import Rolls, arc, arc_of, middle
-from handfast.agent.control.peers.silent import NEVER_CAME_NS, ROWS_OF_MANY, TELLS_NS
-from handfast.agent.messages.types import SILENT_MAX, Beacon, HandState, Removed, Silent
+from handfast.agent.control.peers.silent import ROWS_OF_MANY
+from handfast.agent.messages.types import SILENT_MAX, Beacon, HandState, Silent
 from tests.unit.agent.control.peers.neighbours import (
     PERIOD,
     T0,
@@ -111,34 +110,6 @@ def test_hearsay_is_no_news_of_who_was_heard_since_nor_of_oneself():
     assert {peer.robot for peer in known.known if peer.message is not None} == {2, 3}
 
 
-def test_who_comes_into_a_drive_has_to_be_told_of_all():
-    there = peers(starts={2: (1.5, -2.0), 3: (0.0, 3.0), 4: (9.0, 0.0)})
-    new = peers(starts={2: (1.5, -2.0), 3: (0.0, 3.0), 4: (9.0, 0.0)})
-    assert rows(there, T0) == (), "before the drive nothing is said of who never came"
-    for known in (there, new):
-        known.forecast.epoch_ns = T0 + S
-    there.begin(T0)
-    now = T0 + 30 * S
-    heard(there, message(4, 5, T0 + 9 * S), now_ns=T0 + 9 * S + PERIOD)
-    assert there.unknown == []
-    new.begin(now)
-    assert new.unknown == [2, 3, 4]
-    assert rows(new, now) == (), "it does not know whether they never came"
-    assert new.accept_beacon(told(there, now), now + PERIOD) is None
-    assert new.unknown == []
-    assert new.get(2).message is None, "it is looked for on its way from its start"
-    on = {row.robot: row.time_ns for row in rows(new, now + 2 * PERIOD)}
-    assert (on[2], on[4]) == (NEVER_CAME_NS, T0 + 9 * S), "and told on"
-
-
-def test_who_was_carried_off_need_not_be_known():
-    new = peers(starts={2: (1.5, -2.0)})
-    new.begin(T0 + S)
-    assert new.unknown == [2]
-    new.remove([Removed(2, T0 + S)])
-    assert new.unknown == []
-
-
 def test_of_many_silent_robots_all_are_told_in_turn():
     known = peers()
     robots = range(2, 3 + 2 * SILENT_MAX)
@@ -153,30 +124,6 @@ def test_of_many_silent_robots_all_are_told_in_turn():
     assert new.rows.rounds_to_tell == 3
     assert new.accept_beacon(beacon(3, T0 + S)._replace(unheard=(2,)), T0 + S + PERIOD) is None
     assert new.rows.rounds_to_tell == 1, "it hears the others by now: of those nobody needs to be told"
-
-
-def test_nobody_is_told_of_before_a_mission_is_near():
-    known = heard(peers(), message(2, 5, T0, position=(1.0, 0.0)))
-    now_ns = T0 + 10 * S
-    assert known.rows.are_told(now_ns)
-    assert [row.robot for row in rows(known, now_ns)] == [2]
-    for epoch_ns in (0, now_ns + TELLS_NS + 1):
-        known.forecast.epoch_ns = epoch_ns
-        assert not known.rows.are_told(now_ns)
-        assert rows(known, now_ns) == ()
-    known.forecast.epoch_ns = now_ns + TELLS_NS
-    assert [row.robot for row in rows(known, now_ns)] == [2]
-
-
-def test_of_whom_only_the_own_process_did_not_hear_nothing_is_told():
-    """It did not run: others have heard them meanwhile."""
-    known = heard(peers(horizon_s=1.0), message(2, 5, T0), message(3, 5, T0))
-    known.get(3).here = False  # its token has gone: that came though
-    now_ns, stood_ns = T0 + S, S - 2 * PERIOD
-    assert [row.robot for row in rows(known, now_ns)] == [2, 3]
-    known.missed_ns = lambda since_ns: stood_ns
-    assert [row.robot for row in rows(known, now_ns)] == [3]
-    assert [row.robot for row in rows(known, T0 + stood_ns + UNSURE_NS)] == [2, 3], "it has looked since"
 
 
 def large(**options: Any) -> Peers:
@@ -197,17 +144,3 @@ def test_in_a_large_fleet_who_listens_to_a_robot_tells_of_it_and_the_others_of_a
         assert len(told) == 4 + ROWS_OF_MANY
     seen = {row.robot for _ in range(4) for row in rows(known, now_ns)}
     assert seen == set(robots), "and yet everybody's turn comes"
-
-
-def test_in_a_large_fleet_one_near_that_lacks_robots_is_told_of_all_of_them():
-    known, robots = large(horizon_s=1.0), tuple(range(5, 12))
-    for robot in (2, 3, *robots):
-        heard(known, message(robot, 5, T0 + S, position=(float(robot), 0.0)), now_ns=T0 + S + PERIOD)
-    known.listen({2}, T0 + S + PERIOD)
-    now_ns = T0 + S + 2 * PERIOD
-    assert rows(known, now_ns) == (), "all are heard"
-    far, near = (beacon(sender, T0 + S + PERIOD)._replace(unheard=robots) for sender in (3, 2))
-    assert known.accept_beacon(far, now_ns) is None
-    assert len(rows(known, now_ns)) == ROWS_OF_MANY
-    assert known.accept_beacon(near, now_ns) is None
-    assert {row.robot for row in rows(known, now_ns)} == set(robots)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import queue
 import signal
-import sys
 import threading
 import time
 from pathlib import Path
@@ -73,22 +71,9 @@ def test_a_line_is_safe_to_print(entry: dict[str, Any], text: str) -> None:
     assert line == Line(17, "a", text)
 
 
-def test_a_long_line_is_cut() -> None:
-    entry = {"MESSAGE": "x" * 100_000, "__REALTIME_TIMESTAMP": "17"}
-    line = logs_command._parsed("a", json.dumps(entry).encode())
-    assert line is not None
-    assert line.text == "x" * logs_command.TEXT_MAX + "... (100000 characters)"
-
-
 @pytest.mark.parametrize("text", ["[" * 100_000, "[1]", json.dumps({"MESSAGE": [10**9], "x": 1})])
 def test_what_makes_no_sense_is_left_out(text: str) -> None:
     assert logs_command._parsed("a", text.encode()) is None
-
-
-@pytest.mark.parametrize("time_us", [-1, 10**18, 10**300, "x"])
-def test_a_time_that_cannot_be_is_left_out(time_us: object) -> None:
-    entry = json.dumps({"MESSAGE": "hello", "__REALTIME_TIMESTAMP": str(time_us)})
-    assert logs_command._parsed("a", entry.encode()) is None
 
 
 def test_a_host_that_floods_keeps_neither_the_others_nor_this_computers_memory() -> None:
@@ -103,11 +88,6 @@ def test_a_host_that_floods_keeps_neither_the_others_nor_this_computers_memory()
     line = next(logs_command.followed(readers, Interrupt()))
     assert line == Line(1, "b", "1")
     assert taken < 100 * logs_command.WAITING_MAX
-
-
-def test_what_is_no_entry_is_left_out() -> None:
-    assert logs_command._parsed("a", b"-- no entries --") is None
-    assert logs_command._parsed("a", b"{}") is None
 
 
 # --- the command -----------------------------------------------------------------------------------
@@ -272,12 +252,6 @@ def test_of_a_run_here_lines_are_followed_to_its_end(
     ]
 
 
-def test_of_a_run_here_ctrl_c_ends_following(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logs_command.time, "sleep", lambda _: signal.raise_signal(signal.SIGINT))
-    with of_run(folder):
-        assert main(["logs", "pair-here", "--follow"]) == 130
-
-
 def test_of_a_run_here_what_cannot_be(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def says(*arguments: str) -> str:
         assert main(["logs", *arguments]) == 2
@@ -297,34 +271,3 @@ def test_of_a_run_here_what_cannot_be(folder: Path, capsys: pytest.CaptureFixtur
         assert says("pair-here").startswith(
             "there are no logs of pair-here here: no `handfast run` has started"
         )
-
-
-@pytest.mark.parametrize("more", [(), ("--follow",)])
-def test_who_reads_a_runs_logs_may_go(
-    folder: Path, more: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """`handfast logs | head` is no log that cannot be read."""
-    reader, writer = os.pipe()
-    os.close(reader)
-    with of_run(folder), os.fdopen(writer, "w", buffering=1) as nobody:
-        monkeypatch.setattr(sys, "stdout", nobody)
-        assert main(["logs", "pair-here", *more]) == 141
-    assert capsys.readouterr().err == ""
-
-
-def test_many_are_ended_in_the_time_that_one_takes() -> None:
-    told: list[tuple[str, int, float]] = []
-
-    class Stub:
-        def __init__(self, number: int) -> None:
-            self.number = number
-
-        def kill(self) -> None:
-            told.append(("kill", self.number, 0.0))
-
-        def wait(self, until_s: float) -> None:
-            told.append(("wait", self.number, until_s))
-
-    logs_command.close([Stub(1), Stub(2)])  # type: ignore[list-item]
-    assert [each[:2] for each in told] == [("kill", 1), ("kill", 2), ("wait", 1), ("wait", 2)]
-    assert told[2][2] == told[3][2]

@@ -13,9 +13,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.fault_rules import Rule
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.scenario import parse_scenario
-from handfast.agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
 from handfast.agent.links.ingress import Ingress
-from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Faults
 from handfast.deploy.commands.running.faults import add_arguments
@@ -27,11 +25,10 @@ from handfast.deploy.faults.live import (
     receivers,
     rule_of_options,
     rules_of_scenario,
-    shown,
     text_of,
 )
-from handfast.deploy.faults.rules import end_of, lasts, next_begin, window, words
-from handfast.deploy.session.fault_injection import NothingToClearError, Putting, clear, names
+from handfast.deploy.faults.rules import next_begin, window, words
+from handfast.deploy.session.fault_injection import Putting, clear, names
 
 FLEET = load_fleet(FLEETS / "pair.toml")
 IDS = (1, 2, 3)
@@ -108,16 +105,6 @@ def test_every_field_of_a_rule_has_an_option_with_help(capsys: pytest.CaptureFix
     assert "--kill" not in text
 
 
-def test_scenario_file_with_its_defaults_last() -> None:
-    text = '[faults]\ndelay = "50ms 5ms"\n[[faults.rule]]\nloss = "1%"\nat = 2\n'
-    rules = rules_of_scenario(text, "s.toml", IDS)
-    assert [(each.name, words(each)) for each in rules] == [
-        ("rule 1", "loss 1% on every link"),
-        ("[faults]", "delay 50ms 5ms on every link"),
-    ]
-    assert parse_scenario(text_of(rules), IDS).rules == tuple(rules)
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -145,12 +132,6 @@ def test_scenario_that_cannot_be_live(text: str, says: str) -> None:
     assert str(refused.value).startswith(says), refused.value
 
 
-def test_more_rules_than_a_message_holds() -> None:
-    rules = [rule('link = "1->2"\nloss = "30%"\nfor = "10s"')] * 200
-    with pytest.raises(LiveRulesError, match=r"^the 200 rules are \d+ bytes as text, a message holds 8192"):
-        text_of(rules)
-
-
 @pytest.mark.parametrize(
     ("text", "now", "holds", "following"),
     [
@@ -171,18 +152,6 @@ def test_when_a_rule_holds(
 ) -> None:
     assert window(rule(text), now) == holds
     assert next_begin(rule(text), now) == following
-
-
-def test_when_a_rule_ends() -> None:
-    assert end_of(rule('loss = "1%"\nat = 2\nfor = 1')) == 3.0
-    assert end_of(rule('loss = "1%"\nat = 2')) == inf
-    assert end_of(rule('loss = "1%"\nfor = 1\nevery = 2')) == inf
-    assert end_of(rule('loss = "1%"\nfor = 1\nevery = 2\nuntil = 7')) == 7.0
-
-
-def test_a_restart_does_not_last() -> None:
-    assert not lasts(rule('robot = 1\nrestart = "agent"\nat = 1'))
-    assert lasts(rule('robot = 1\nkill = "agent"\nat = 1'))
 
 
 # ---------------------------------------------------------------------- in force and away again
@@ -374,18 +343,6 @@ def test_one_that_cannot_be_healed_is_named(world: World, deaf_from_s: float, na
     assert (says in told.getvalue()) == named
 
 
-def test_one_that_heard_nothing_for_a_while_takes_it_again(world: World) -> None:
-    agent = (1, "agent")
-    world.at(1.0, lambda: world.deaf.add(agent))
-    world.at(4.1, lambda: gone.extend(world.holding()[0]))
-    world.at(4.2, world.deaf.clear)
-    gone: list[str] = []
-    putting = put(somebody(world), 'loss = "30%"\nfor = 10')
-    assert gone == []  # its lease had run out
-    assert not putting.cleared
-    assert putting.missing == []
-
-
 @pytest.mark.parametrize(
     ("author", "lease_ns", "within_s"), [("*", 0, 3.1), ("ana@lab:1", 4 * NS_PER_S, 1.1)]
 )
@@ -398,78 +355,9 @@ def test_another_operator_ends_it(world: World, author: str, lease_ns: int, with
     assert world.holding() == [[]] * 4
 
 
-def test_clear_of_one_author_leaves_the_others(world: World) -> None:
-    ana, bob = somebody(world), somebody(world, "bob@lab:2")
-    put(ana, 'loss = "30%"', stay=True)
-    put(bob, 'delay = "30ms"', stay=True)
-    assert world.holding() == [["bob@lab:2", "ana@lab:1"]] * 4
-    now_ns = world.now_ns
-    assert shown(ana.held.sets(now_ns + NS_PER_S), now_ns + NS_PER_S) == [
-        "live delay 30ms on every link (bob@lab:2)",
-        "live loss 30% on every link (ana@lab:1)",
-    ]
-    assert clear(somebody(world, "cy@lab:3"), "ana@lab:1") == (["ana@lab:1"], [])
-    assert world.holding() == [["bob@lab:2"]] * 4
-    with pytest.raises(NothingToClearError, match="no live faults of dan; there are those of bob@lab:2"):
-        clear(somebody(world, "cy@lab:3"), "dan")
-    assert clear(somebody(world, "cy@lab:3"), None) == (["bob@lab:2"], [])
-    assert clear(somebody(world, "cy@lab:3"), None) == ([], [])
-
-
 def test_clear_names_who_still_holds_it(world: World) -> None:
     put(somebody(world), 'loss = "30%"', stay=True)
     world.deaf = {(1, "plant"), (2, "agent"), (2, "plant")}
     cleared, left = clear(somebody(world, "bob@lab:2"), None)
     assert cleared == ["ana@lab:1"]
     assert names(left) == "robot 1's plant, robot 2's agent and plant"
-
-
-def test_rules_that_are_over_are_not_shown(world: World) -> None:
-    ana = somebody(world)
-    put(ana, 'loss = "30%"\nat = 1\nfor = 2', stay=True)
-    lines = [
-        shown(ana.held.sets(START_NS + round(s * NS_PER_S)), START_NS + round(s * NS_PER_S))
-        for s in (1.2, 1.4, 3.2, 3.4)
-    ]
-    assert [len(each) for each in lines] == [0, 1, 1, 0]
-
-
-def test_what_is_kept_of_ended_authors_is_bounded() -> None:
-    held = Held(FLEET)
-    keys_of = {
-        receiver: key_expressions.faults_held(FLEET.fleet.name, *receiver) for receiver in receivers(FLEET)
-    }
-    living = Faults(1, 1, "ana@lab:1", 0, 0, text_of([rule('loss = "30%"')]))
-    authors = 2 * (AUTHORS_MAX + ENDED_MAX)
-    for number in range(authors):
-        for key in keys_of.values():
-            held.feed(key, Faults(2, 1, f"bob@lab:{number}", 0, 0, ""))
-            held.feed(key, living)  # as receivers do, again and again
-    (kept,) = held.sets(2)
-    assert kept.holders == set(keys_of)
-    first, last = (
-        sum(held.echo(receiver, f"bob@lab:{number}") is not None for receiver in keys_of)
-        for number in (0, authors - 1)
-    )
-    assert (first, last) == (0, len(keys_of))
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_the_line_is_redrawn_on_a_terminal(world: World) -> None:
-    told = Terminal()
-    put(somebody(world), 'loss = "30%"\nfor = 1', told)
-    shown_lines = told.getvalue().split("\r\033[K")[1:]
-    left = [line.rpartition("; ")[2] for line in shown_lines]
-    assert left == [
-        "1.3 s left",
-        "1.0 s left",
-        "0.8 s left",
-        "0.5 s left",
-        "0.3 s left",
-        "0.0 s left",
-        "0.0 s left\n",
-    ]
