@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from handfast.agent.common.quantities import DISTANCE_MIN
 from handfast.agent.control.controller import LOOK_PERIOD_NS
 from handfast.agent.control.hand import Hand
-from handfast.agent.control.limits import acceleration_max, speed_max
 from handfast.agent.control.peers.beliefs import DOUBT_MAX, Belief, Stretch
 from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.peers.peer import Peer
