@@ -26,7 +26,7 @@ from handfast.agent.formation.geometry import resolve
 from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
 from handfast.agent.links.ingress import Decode, Ingress
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.codec import can_be, decode, encode
 from handfast.agent.messages.types import (
     FLOAT_MAX,
     Ask,
@@ -41,15 +41,13 @@ from handfast.agent.messages.types import (
     clipped,
 )
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.messages.versions import can_be
 from handfast.agent.supervision.deafness import Deafness
 from handfast.agent.supervision.neighbour_trust import NeighbourTrust
 from handfast.agent.supervision.orders import LastingOrders, OrderRelay
 from handfast.agent.supervision.outbox import Outbox
 from handfast.agent.supervision.overload import Overload
 from handfast.agent.supervision.situation import Situation
-from handfast.agent.supervision.state_machine import ACTIVE, DRIVING, State, step
-from handfast.agent.supervision.status import StatusReport, status_hz
+from handfast.agent.supervision.state_machine import ACTIVE, DRIVING, State, StatusReport, status_hz, step
 
 STOOD_NS: Final = 2 * OUTAGE_NS
 """It is told for how much of the time since then the own process did not run: whoever hears it looks no

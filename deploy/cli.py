@@ -13,8 +13,7 @@ from errno import EIO, ENOSPC
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from handfast.agent.common.errors import Error, packages_named
-from handfast.agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED, PASSED, UNREAD
+from handfast.agent.common.errors import BAD_INPUT, FAILED, INTERRUPTED, PASSED, UNREAD, Error, packages_named
 from handfast.deploy.console.data_files import bundled
 from handfast.deploy.console.interrupt import remembered
 

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from handfast.agent.common.settings import about as about
     from handfast.agent.common.settings import setting as setting
     from handfast.agent.control.hand import Pose as Pose
-    from handfast.agent.control.law_plugin import Law as Law
-    from handfast.agent.control.law_plugin import Moment as Moment
-    from handfast.agent.control.law_plugin import Neighbour as Neighbour
-    from handfast.agent.control.law_plugin import Reference as Reference
+    from handfast.agent.control.own_law import Law as Law
+    from handfast.agent.control.own_law import Moment as Moment
+    from handfast.agent.control.own_law import Neighbour as Neighbour
+    from handfast.agent.control.own_law import Reference as Reference
     from handfast.agent.fleet.model import FleetError as FleetError
     from handfast.deploy.api.drive import run as run
     from handfast.deploy.api.drive import simulate as simulate
@@ -52,13 +52,13 @@ _MODULES: Final = {
     # for laws and plants of one's own
     "Command": "handfast.plant.backend",
     "FleetError": "handfast.agent.fleet.model",
-    "Law": "handfast.agent.control.law_plugin",
-    "Moment": "handfast.agent.control.law_plugin",
-    "Neighbour": "handfast.agent.control.law_plugin",
+    "Law": "handfast.agent.control.own_law",
+    "Moment": "handfast.agent.control.own_law",
+    "Neighbour": "handfast.agent.control.own_law",
     "Plant": "handfast.plant.backend",
     "Pose": "handfast.agent.control.hand",
     "Reading": "handfast.plant.backend",
-    "Reference": "handfast.agent.control.law_plugin",
+    "Reference": "handfast.agent.control.own_law",
     "Setup": "handfast.plant.backend",
     "about": "handfast.agent.common.settings",
     "register": "handfast.agent.common.plugins",

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 
-from handfast.agent.common.exit import FAILED
+from handfast.agent.common.errors import FAILED
 from handfast.agent.common.plugins import PluginError
 from handfast.agent.common.time import Clock
 from handfast.agent.fleet import plants

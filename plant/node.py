@@ -10,7 +10,7 @@ from math import cos, pi, sin
 from typing import Final
 
 from handfast.agent.common import random_streams
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 from handfast.agent.common.time import NS_PER_S, MachineClock
 from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.fault_rules import SENSOR_FIELDS
@@ -21,8 +21,8 @@ from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.ingress import Ingress
 from handfast.agent.links.timed_rules import SensorFaults
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.codec import can_be, decode, encode
+from handfast.agent.messages.trickle_timer import SequenceNumbers
 from handfast.agent.messages.types import (
     ACTS_PERIODS,
     BYTES_MAX,
@@ -42,7 +42,6 @@ from handfast.agent.messages.types import (
     Wrench,
     clipped,
 )
-from handfast.agent.messages.versions import can_be
 from handfast.agent.supervision.orders import LastingOrders, StopLatch
 from handfast.agent.supervision.state_machine import at_rest
 from handfast.plant.backend import COAST, Check, Command, PlantBackend, Reading

@@ -11,7 +11,7 @@ from dataclasses import replace
 from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.model import Fleet

@@ -1,4 +1,4 @@
-"""The base of all errors that a user can cause, and that of a package which is not installed (PURE)."""
+"""Errors that a user can cause, missing packages, and exit statuses (PURE)."""
 
 from __future__ import annotations
 
@@ -44,3 +44,15 @@ def packages_named(what: str = "this") -> Iterator[None]:
 def install(package: str) -> str:
     """Return the command that installs a package together with handfast."""
     return f"pip install 'handfast[{_EXTRAS.get(package, 'operator')}]'"
+
+
+PASSED: Final = 0
+"""Done as asked, or asked to end; where there is a verdict, it passed."""
+FAILED: Final = 1
+"""The verdict failed, or something was not done; what and why was printed."""
+BAD_INPUT: Final = 2
+"""One message named what is wrong; nothing was begun."""
+INTERRUPTED: Final = 130
+"""After Ctrl-C, with everything that was started stopped."""
+UNREAD: Final = 141
+"""Who read its output left before the end (`handfast ... | head`): as of a program that SIGPIPE ends."""

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator
 from math import ceil, hypot, inf
 from typing import TYPE_CHECKING, Final
 
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 from handfast.agent.common.quantities import Vector
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control import hand, law, safety_filter

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import cos, exp, sin
 from typing import NamedTuple
 
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 
 
 class Pose(NamedTuple):

@@ -1,6 +1,7 @@
-"""Runs a law of others (`agent.control.law_plugin`) in the place of the constraint force.
+"""The base class `Law` for users' laws, and the adapter that runs one in place of the constraint force.
 
-Whatever is wrong with it is one `LawError` that names it.
+`control.law` in the fleet file names one; docs/plugins.md tells how to write it. The safety filter stands
+after it, whatever it gives. Whatever is wrong with a law is one `LawError` that names it.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from inspect import iscoroutinefunction
 from math import inf, nan
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from handfast.agent.common import plugins
 from handfast.agent.common.errors import Error
@@ -18,7 +19,6 @@ from handfast.agent.common.quantities import Vector
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.common.wording import printable
 from handfast.agent.control.hand import Hand
-from handfast.agent.control.law_plugin import Law, Moment, Neighbour, Reference
 from handfast.agent.control.peers.peer import Peer
 from handfast.agent.control.peers.peers import Peers
 from handfast.agent.fleet.model import Fleet
@@ -26,6 +26,94 @@ from handfast.agent.fleet.sections import load_law
 from handfast.agent.formation.reference import Edge
 from handfast.agent.formation.trajectory import Sample
 from handfast.agent.messages.types import FLOAT_MAX, OWN_MAX
+
+
+class Neighbour(NamedTuple):
+    """A robot at the other end of an edge, carried forward to the instant for which the law is to act.
+
+    Attributes:
+        robot: its id.
+        position, velocity, navigation: of its hand, m, m/s; its navigation force F_n, m/s^2; W.
+        distance: that the edge is to have, m; rate: its derivative, m/s.
+        weight: of the edge, in (0, 1]: lower while it fades, or while the robot is not trusted.
+        age: of its last message, s.
+        numbers: `Law.numbers` of its law, as it said them last; () before it has.
+    """
+
+    robot: int
+    position: Vector
+    velocity: Vector
+    navigation: Vector
+    distance: float
+    rate: float
+    weight: float
+    age: float
+    numbers: tuple[float, ...]
+
+
+class Reference(NamedTuple):
+    """Desired motion of the own place: m, m/s, m/s^2, W."""
+
+    position: Vector
+    velocity: Vector
+    acceleration: Vector
+
+
+class Moment(NamedTuple):
+    """What a law acts by: all of it at the instant in the middle of the period in which its force acts.
+
+    Attributes:
+        time: fleet time, s.
+        period: of the control loop, s.
+        position, velocity: of the own hand, m, m/s, W.
+        navigation: the own navigation force F_n, m/s^2, W: towards the place, or round what is in the way.
+        reference: desired motion of the own place.
+        neighbours: those that share an edge, have been heard and are trusted.
+    """
+
+    time: float
+    period: float
+    position: Vector
+    velocity: Vector
+    navigation: Vector
+    reference: Reference
+    neighbours: tuple[Neighbour, ...]
+
+
+class Law:
+    """A control law; base of all laws of others. One is made for each robot.
+
+    A table of its own in the fleet file, `[control.NAME]`, has the name that the class attribute `section`
+    gives, and the fields of the class attribute `Settings`, a frozen dataclass.
+
+    Attributes:
+        robot: id of the robot that it drives.
+        fleet: the fleet file.
+        settings: its table, a `Settings`; None without one.
+        numbers: up to 16 numbers for the neighbours' laws, sent with every hand state; set it.
+    """
+
+    numbers: Sequence[float] = ()
+
+    def __init__(self, robot: int, fleet: Fleet, settings: Any) -> None:
+        self.robot, self.fleet, self.settings = robot, fleet, settings
+
+    def restart(self) -> None:
+        """Forgets what it knows: the robot begins to drive."""
+
+    def acceleration(self, now: Moment) -> Vector:
+        """What the hand is to be accelerated by, (x, y), m/s^2, W."""
+        raise NotImplementedError
+
+    @classmethod
+    def modes(cls, fleet: Fleet, settings: Any) -> Sequence[tuple[float, float, bool]] | None:
+        """The law linearised at the formation, for `handfast check`; None: it cannot predict this law.
+
+        A mode is (k1, k2, shape): u = -k1 e - k2 edot, and whether it changes the lengths of edges. There are
+        two for each robot.
+        """
+        return None
+
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 from handfast.agent.common.quantities import DISTANCE_MIN
 from handfast.agent.control.hand import PoseTuple
 

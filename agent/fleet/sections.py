@@ -92,7 +92,7 @@ def load_law(reference: str) -> type[Any]:
         handfast.agent.common.plugins.PluginError: there is none.
     """
     try:
-        return plugins.load(reference, LAWS_GROUP, "handfast.agent.control.law_plugin:Law", LAWS)
+        return plugins.load(reference, LAWS_GROUP, "handfast.agent.control.own_law:Law", LAWS)
     except plugins.PluginError as error:
         if ":" in reference:
             raise

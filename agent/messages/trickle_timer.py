@@ -1,11 +1,11 @@
-"""When to say again what others know already: seldom while nothing changes, at once when it does (PURE).
+"""The timer that says when to repeat a message, and sequence numbers (PURE).
 
-The timer of Trickle (RFC 6206), without its suppression: after a change a thing is said at once, and again
-after intervals that double, so that who has missed it hears it soon. What is said tells how long the next
-interval is at most, so that silence within it means nothing.
+The timer is that of Trickle (RFC 6206) without its suppression: it fires at once after a change, and again
+after intervals that double, so that a robot that missed the message hears it soon. The message says how long
+the next interval is at most, so that silence within it means nothing.
 
-What changes for many at once they would all say again at the same times, for ever after: so each has its own
-shares of its intervals, until they are as long as they get (in RFC 6206 a time drawn from their second half).
+After a change that concerns many robots, all would repeat at the same times. Each robot therefore has its own
+shares of its intervals until they reach their maximum (RFC 6206 draws a time from their second half).
 """
 
 from __future__ import annotations
@@ -87,3 +87,40 @@ class TrickleTimer:
         self.next_ns = min(steps * self.least_ns, self._interval_ns) if share < 1.0 else self._interval_ns
         self._said_ns, self._again_ns = now_ns, None
         return self.next_ns
+
+
+FIRST_ROUND: Final = 1 << 20
+"""Number of the message of the mission's first round."""
+
+
+class SequenceNumbers:
+    """Sequence numbers of one topic: they count rounds (ticks of the grid) from the mission's epoch.
+
+    So the messages of a run and of its simulation bear the same numbers, a process that starts again goes on
+    with those of its place, and a skipped tick leaves a gap. Before a mission is known they count from 0.
+
+    Args:
+        period_ns, phase_ns: of the sender's ticks (`Node`); a late one has the number of its round.
+    """
+
+    def __init__(self, period_ns: int, phase_ns: int = 0) -> None:
+        self._period_ns, self._phase_ns = period_ns, phase_ns
+        self._epoch_ns: int | None = None
+        self._count = 0
+
+    def begin(self, epoch_ns: int) -> None:
+        """Sets the mission's epoch (wall time, ns), from which rounds count."""
+        self._epoch_ns = epoch_ns
+
+    def next(self, stamp_ns: int) -> int:
+        """Number of a message whose content holds at `stamp_ns`; at most one a round."""
+        if self._epoch_ns is None:
+            self._count += 1
+            return self._count - 1
+        return self.at(stamp_ns)
+
+    def at(self, stamp_ns: int) -> int:
+        """The number that belongs to a time, 0 while no mission is known."""
+        if self._epoch_ns is None:
+            return 0
+        return max(0, FIRST_ROUND + (stamp_ns - self._epoch_ns - self._phase_ns) // self._period_ns)

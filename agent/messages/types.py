@@ -12,10 +12,10 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import Annotated, Any, Final, NamedTuple, get_args
 
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 from handfast.agent.messages.declaration import FLOAT_MAX as FLOAT_MAX
 from handfast.agent.messages.declaration import About
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 
 VERSION: Final = 7
 """Version of the protocol, the first field of every message."""

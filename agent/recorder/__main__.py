@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.errors import BAD_INPUT, FAILED, PASSED
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.loading import digest, load_fleet, read_text
 from handfast.agent.fleet.model import Fleet, FleetError

@@ -12,8 +12,7 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from handfast.agent.common.errors import Error
-from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.errors import BAD_INPUT, FAILED, PASSED, Error
 from handfast.agent.common.time import Clock
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet

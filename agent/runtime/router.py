@@ -17,7 +17,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.errors import BAD_INPUT, FAILED, PASSED
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.loading import load_fleet

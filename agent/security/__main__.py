@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from handfast.agent.common.exit import BAD_INPUT, PASSED
+from handfast.agent.common.errors import BAD_INPUT, PASSED
 from handfast.agent.security.certificates import PEM_BYTES_MAX
 from handfast.agent.security.credentials import CredentialsError, authority_of, make_request, store, wanting
 from handfast.agent.security.identity import Identity, IdentityError, addresses, of_robot, of_router

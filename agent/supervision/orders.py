@@ -20,10 +20,9 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.mission_choice import MissionChoice
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import Mark, encode
-from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.codec import Mark, can_be, encode
+from handfast.agent.messages.trickle_timer import SequenceNumbers
 from handfast.agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
-from handfast.agent.messages.versions import can_be
 
 AWAITED: Final = "waiting to be told to resume"
 """How a reason ends where only a resume is missing."""

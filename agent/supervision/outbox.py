@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 from handfast.agent.common.quantities import Vector
 from handfast.agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
 from handfast.agent.control.event_trigger import EventTrigger
@@ -14,7 +14,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.mission_choice import MissionChoice
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import Mark, encode
-from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.trickle_timer import SequenceNumbers
 from handfast.agent.messages.types import (
     HEARD_ROUNDS,
     NO_FORCES,

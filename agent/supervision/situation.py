@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import hypot, inf
 from typing import Final
 
-from handfast.agent.common.named_tuples import new
+from handfast.agent.common.models import new
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.controller import Controller
 from handfast.agent.fleet.model import Fleet

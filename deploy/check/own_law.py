@@ -9,8 +9,7 @@ from typing import Final
 
 from handfast.agent.control import own_law
 from handfast.agent.control.law import navigation_force
-from handfast.agent.control.law_plugin import Moment, Neighbour, Reference
-from handfast.agent.control.own_law import LawError
+from handfast.agent.control.own_law import LawError, Moment, Neighbour, Reference
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry, start_hands
 from handfast.agent.formation.trajectory import make_trajectory

@@ -9,7 +9,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Final
 
-from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import InputError

@@ -30,8 +30,7 @@ from handfast.agent.messages.types import (
     StatusText,
     Stop,
 )
-from handfast.agent.supervision.state_machine import DRIVING_NAMES
-from handfast.agent.supervision.status import status_hz
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, status_hz
 from handfast.deploy.analysis.places import AT_PLACE
 from handfast.deploy.analysis.silent_bodies import SilentBodies, SilentBody
 from handfast.deploy.drive.lagging import Lagging

@@ -11,10 +11,9 @@ from typing import Any, Final, NamedTuple
 
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.messages.codec import encode
+from handfast.agent.messages.codec import encode, least_believed
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.messages.types import TIME_NS_MAX, Stop
-from handfast.agent.messages.versions import least_believed
 from handfast.agent.runtime.order_store import packed
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.hosts.connection import ANSWER_BYTES, HostConnection, HostError

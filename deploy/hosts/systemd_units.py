@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from handfast.agent.common.exit import BAD_INPUT
+from handfast.agent.common.errors import BAD_INPUT
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.process_section import PRIORITIES

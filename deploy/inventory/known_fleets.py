@@ -16,7 +16,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Final
 
-from handfast.agent.common.exit import BAD_INPUT, FAILED
+from handfast.agent.common.errors import BAD_INPUT, FAILED
 from handfast.agent.common.wording import did_you_mean, show
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet, FleetError

@@ -16,10 +16,9 @@ from typing import Final
 
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.messages.codec import decode, encode, newer
+from handfast.agent.messages.codec import as_believed, decode, encode, newer
 from handfast.agent.messages.types import Mission, Resume, Stop
 from handfast.agent.messages.validation import Malformed
-from handfast.agent.messages.versions import as_believed
 from handfast.agent.runtime.order_store import FILE_BYTES_MAX, OrderFileError, packed, unpacked
 from handfast.agent.security.private_files import KeyFileError, exists, private_directory, read, write
 from handfast.deploy.console.arguments import InputError

@@ -16,8 +16,8 @@ from handfast.agent.formation.geometry import Geometry
 from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
 from handfast.agent.formation.mission_plan import Plan
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import Mark, encode
-from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.codec import Mark, as_believed, can_be, encode
+from handfast.agent.messages.trickle_timer import SequenceNumbers
 from handfast.agent.messages.types import (
     FUTURE_NS_MAX,
     Ask,
@@ -32,7 +32,6 @@ from handfast.agent.messages.types import (
     Stop,
     clipped,
 )
-from handfast.agent.messages.versions import as_believed, can_be
 from handfast.agent.supervision.state_machine import DRIVING_NAMES
 from handfast.deploy.console.wording import clock_ahead
 from handfast.deploy.orders.mission_editing import OrderError, first_mission, ordered

@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
+from handfast.agent.messages.codec import AHEAD_US_MAX, can_be
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.messages.types import Message, PlantState, Status, Stop, clipped
-from handfast.agent.messages.versions import AHEAD_US_MAX, can_be
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.console.wording import NAMES_SHOWN, clock_ahead, clock_behind, grouped, robots
 from handfast.deploy.orders.robot_clocks import RobotClocks

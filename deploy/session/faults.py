@@ -7,7 +7,7 @@ from typing import Final
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import Faults, Message, PlantState
 from handfast.deploy.faults.live import Held, Receiver
 from handfast.deploy.session.author import author

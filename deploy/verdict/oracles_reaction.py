@@ -13,8 +13,7 @@ from handfast.agent.fleet.fault_rules import Impairments, Rule
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.points import Floats
 from handfast.agent.messages.types import TOPICS
-from handfast.agent.supervision.state_machine import DRIVING_NAMES, REST_SPEED
-from handfast.agent.supervision.status import status_hz
+from handfast.agent.supervision.state_machine import DRIVING_NAMES, REST_SPEED, status_hz
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.analysis.presence import Down, Flags, downs
 from handfast.deploy.recording.recording import Recording, RobotData

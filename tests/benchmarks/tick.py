@@ -29,7 +29,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.agent.links import ingress
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import HandState, Outgoing, PlantState
 from handfast.agent.supervision import outbox
 from handfast.agent.supervision.neighbour_trust import NeighbourTrust

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import LOST
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from handfast.agent.common.exit import BAD_INPUT, FAILED, PASSED
+from handfast.agent.common.errors import BAD_INPUT, FAILED, PASSED
 from handfast.agent.common.time import NS_PER_S, Clock
 from handfast.agent.runtime.loop import RealClock
 from handfast.agent.runtime.service import PARENT_PERIOD_NS, Shutdown, add_parent_argument

@@ -11,7 +11,7 @@ from handfast.agent.control.limits import sensing_distance
 from handfast.agent.fleet.hosts import MESH_ROBOTS_MAX
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry, resolve, start_hands
-from handfast.agent.supervision.status import status_hz
+from handfast.agent.supervision.state_machine import status_hz
 from handfast.deploy.check.finding import Finding
 from handfast.deploy.check.safety import parting
 

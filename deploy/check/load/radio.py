@@ -11,7 +11,7 @@ from typing import Final
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry
 from handfast.agent.messages.codec import encode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import HEARD_ROUNDS, Beacon, HandState, PlantState, Wrench
 from handfast.deploy.check.load.network import beacon_hz, listeners, neighbours
 

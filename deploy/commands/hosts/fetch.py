@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 
-from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
 from handfast.agent.common.wording import printable
 from handfast.deploy.console.arguments import (
     InputError,

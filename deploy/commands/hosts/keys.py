@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from handfast.agent.common.exit import PASSED
+from handfast.agent.common.errors import PASSED
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.security.certificates import DAY_S
 from handfast.agent.security.credentials import (

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from handfast.agent.common.exit import INTERRUPTED, PASSED
+from handfast.agent.common.errors import INTERRUPTED, PASSED
 from handfast.deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.inventory.known_fleets import handled

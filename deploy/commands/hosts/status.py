@@ -12,7 +12,7 @@ from dataclasses import asdict
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet, FleetError

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import (
     InputError,

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from handfast.agent.common.exit import BAD_INPUT, PASSED
+from handfast.agent.common.errors import BAD_INPUT, PASSED
 from handfast.deploy.console.arguments import fleet_arguments, load_unresolved
 
 if TYPE_CHECKING:

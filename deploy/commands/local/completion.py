@@ -11,8 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
-from handfast.agent.common.errors import packages_named
-from handfast.agent.common.exit import PASSED
+from handfast.agent.common.errors import PASSED, packages_named
 from handfast.agent.fleet.sections import LAWS
 from handfast.deploy.console.arguments import describe
 from handfast.deploy.console.data_files import FLEETS, SCENARIOS, bundled

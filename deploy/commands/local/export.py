@@ -8,7 +8,7 @@ from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
 
-from handfast.agent.common.exit import PASSED
+from handfast.agent.common.errors import PASSED
 from handfast.deploy.console.arguments import InputError, describe, place_for
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from handfast.agent.common.exit import PASSED
+from handfast.agent.common.errors import PASSED
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.console.data_files import TEMPLATE
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Final
 
-from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import InputError, describe, fleet_arguments, fleet_path, load
 from handfast.deploy.console.interrupt import Interrupt

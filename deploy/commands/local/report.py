@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from handfast.agent.common.exit import INTERRUPTED
+from handfast.agent.common.errors import INTERRUPTED
 from handfast.deploy.console.arguments import InputError, figures_argument
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.outcome import conclude, say_left_out

@@ -6,7 +6,7 @@ import argparse
 import sys
 from contextlib import suppress
 
-from handfast.agent.common.exit import FAILED
+from handfast.agent.common.errors import FAILED
 from handfast.agent.fleet.mavlink_section import SHARED_LINKS, MavlinkSection
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import (

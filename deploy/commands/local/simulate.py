@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Final
 
-from handfast.agent.common.exit import FAILED
+from handfast.agent.common.errors import FAILED
 from handfast.agent.common.time import NS_PER_S
 from handfast.deploy.console.arguments import drive_arguments, fleet_arguments, load
 from handfast.deploy.console.interrupt import NOT_STARTED, Interrupt

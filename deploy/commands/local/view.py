@@ -11,7 +11,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from handfast.agent.common.exit import INTERRUPTED
+from handfast.agent.common.errors import INTERRUPTED
 from handfast.agent.fleet.model import FleetError
 from handfast.deploy.console.arguments import InputError, describe
 from handfast.deploy.console.interrupt import as_python_does

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from handfast.agent.common.exit import FAILED, PASSED
+from handfast.agent.common.errors import FAILED, PASSED
 from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection
 from handfast.deploy.console.arguments import InputError, describe, fleet_path
 from handfast.deploy.inventory.known_fleets import MEANING, handled, running_fleet

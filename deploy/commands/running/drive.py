@@ -9,7 +9,7 @@ from contextlib import suppress
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
-from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.console.arguments import (

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from math import isinf
 from typing import TYPE_CHECKING, Literal, get_args, get_origin
 
-from handfast.agent.common.exit import FAILED, INTERRUPTED, PASSED
+from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.loading import read_text
 from handfast.agent.fleet.model import Fleet

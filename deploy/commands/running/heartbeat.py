@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from handfast.agent.common.exit import PASSED
+from handfast.agent.common.errors import PASSED
 from handfast.deploy.console.arguments import InputError, describe
 from handfast.deploy.inventory.known_fleets import MEANING, handled, running_fleet
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from handfast.agent.common.exit import FAILED, PASSED
+from handfast.agent.common.errors import FAILED, PASSED
 from handfast.deploy.console.arguments import describe, robots_argument, robots_named
 from handfast.deploy.console.wording import robots as some_robots
 from handfast.deploy.inventory.known_fleets import MEANING, handled, running_fleet

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from shlex import quote
 from typing import TYPE_CHECKING, Final
 
-from handfast.agent.common.exit import FAILED, PASSED
+from handfast.agent.common.errors import FAILED, PASSED
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.deploy.console.arguments import InputError, describe

@@ -28,8 +28,7 @@ from handfast.agent.messages.types import (
     Stop,
     clipped,
 )
-from handfast.agent.supervision.state_machine import State
-from handfast.agent.supervision.status import status_hz
+from handfast.agent.supervision.state_machine import State, status_hz
 from handfast.deploy.console.wording import robots
 from handfast.deploy.recording.foxglove import scene
 from handfast.deploy.recording.foxglove.json_text import STAMP, dumps, stamped

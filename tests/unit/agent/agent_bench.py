@@ -12,7 +12,7 @@ from handfast.agent.core import Agent
 from handfast.agent.fleet.loading import digest, parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.trickle_timer import SequenceNumbers
 from handfast.agent.messages.types import (
     Beacon,
     HandState,

@@ -6,9 +6,8 @@ import pytest
 
 from handfast.agent.formation.geometry import resolve, resolved
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.codec import AHEAD_US_MAX, decode, encode
 from handfast.agent.messages.types import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop
-from handfast.agent.messages.versions import AHEAD_US_MAX
 from handfast.deploy.orders.operator import Operator
 from handfast.deploy.orders.stop_outcome import Stopping
 from tests.process.small_fleets import triangle

@@ -161,7 +161,7 @@ def loaded_by(*arguments: str) -> set[str]:
 def test_help_loads_no_command_and_nothing_of_fleets(arguments: tuple[str, ...]) -> None:
     loaded = loaded_by(*arguments)
     assert not loaded & {*HEAVY, "numpy", "handfast.bridges", "handfast.plant"}
-    light = {"handfast.agent.common", "handfast.agent.common.errors", "handfast.agent.common.exit"}
+    light = {"handfast.agent.common", "handfast.agent.common.errors"}
     assert {name for name in loaded if name.startswith("handfast.agent.")} == light
     assert not [name for name in loaded if name.startswith("handfast.deploy.commands.")]
 

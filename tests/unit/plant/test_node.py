@@ -15,7 +15,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.sequence_numbers import SequenceNumbers
+from handfast.agent.messages.trickle_timer import SequenceNumbers
 from handfast.agent.messages.types import (
     ACTS_PERIODS,
     FUTURE_NS_MAX,

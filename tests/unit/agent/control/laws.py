@@ -11,7 +11,7 @@ from typing import Any
 
 from handfast.agent.common import plugins
 from handfast.agent.common.settings import setting
-from handfast.agent.control.law_plugin import Law, Moment
+from handfast.agent.control.own_law import Law, Moment
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import tomli_w
 
 from handfast.agent.common import plugins
 from handfast.agent.common.settings import about, setting
-from handfast.agent.control.law_plugin import Law
+from handfast.agent.control.own_law import Law
 from handfast.agent.fleet.loading import digest, law_name, parse_fleet, to_dict
 from handfast.agent.fleet.model import FleetError
 from handfast.plant.backend import Plant

@@ -13,7 +13,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.link_emulator import LinkEmulator
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND, SequenceNumbers
+from handfast.agent.messages.trickle_timer import FIRST_ROUND, SequenceNumbers
 
 T0 = 1000 * NS_PER_S
 PERIOD = 20_000_000

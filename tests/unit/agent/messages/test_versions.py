@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from handfast.agent.messages.codec import AHEAD_US_MAX, as_believed, can_be
 from handfast.agent.messages.types import Mission, Resume, Stop
-from handfast.agent.messages.versions import AHEAD_US_MAX, as_believed, can_be
 
 NOW_NS = 1_790_000_000 * 10**9
 

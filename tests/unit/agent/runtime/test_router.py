@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from handfast.agent.common.exit import BAD_INPUT, FAILED
+from handfast.agent.common.errors import BAD_INPUT, FAILED
 from handfast.agent.fleet.loading import load_fleet, to_dict
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.runtime.router import main, others

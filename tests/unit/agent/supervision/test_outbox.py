@@ -7,7 +7,7 @@ from handfast.agent.control.hand import Hand
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.formation.mission_choice import MissionChoice
 from handfast.agent.messages.codec import decode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Setpoint, Wrench
 from handfast.agent.supervision.orders import StopLatch
 from handfast.agent.supervision.outbox import Outbox

@@ -1,4 +1,4 @@
-"""handfast.agent.supervision.status: when an agent says it, what it tells, and that it fits."""
+"""handfast.agent.supervision.state_machine: when an agent says it, what it tells, and that it fits."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import pytest
 
 from handfast.agent.common.errors import Error
 from handfast.agent.control.hand import Pose
-from handfast.agent.control.law_plugin import Law, Moment
+from handfast.agent.control.own_law import Law, Moment
 from handfast.deploy import cli
 from handfast.deploy.api.drive import run, simulate
 from handfast.deploy.api.fleet import load

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from handfast.agent.common.errors import Error
-from handfast.agent.control.law_plugin import Law
+from handfast.agent.control.own_law import Law
 from handfast.deploy.api.drive import simulate
 from handfast.deploy.api.sweep import Sweep, sweep
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from handfast.agent.common import plugins
-from handfast.agent.control.law_plugin import Moment
+from handfast.agent.control.own_law import Moment
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.analysis import patience

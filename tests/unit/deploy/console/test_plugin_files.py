@@ -76,7 +76,7 @@ def test_the_archive_changes_with_them_and_is_as_ever_without(site: Path) -> Non
         assert archive.read(PLUGINS) == b"my_module"
     assert PLUGINS not in zipfile.ZipFile(BytesIO(plain)).namelist()
     assert program_archive(("my_module",)) == one != plain
-    assert program_archive(("handfast.agent.control.law_plugin",)) == plain, "what is there anyway"
+    assert program_archive(("handfast.agent.control.own_law",)) == plain, "what is there anyway"
     (site / "my_module.py").write_text(PLANT + "\n")
     assert program_archive(("my_module",)) != one
     assert PLUGINS == remote_program.PLUGINS

@@ -21,7 +21,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt

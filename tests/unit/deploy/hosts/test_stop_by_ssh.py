@@ -11,10 +11,9 @@ import pytest
 
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.messages.codec import decode, encode
+from handfast.agent.messages.codec import as_believed, decode, encode
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.messages.types import Stop
-from handfast.agent.messages.versions import as_believed
 from handfast.agent.runtime.order_store import STOP_FILE, packed, unpacked
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.hosts import stop_by_ssh, systemd_units

@@ -8,10 +8,9 @@ import pytest
 
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.codec import decode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.codec import AHEAD_US_MAX, decode
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
-from handfast.agent.messages.versions import AHEAD_US_MAX
 from handfast.deploy.orders.mission_editing import OrderError
 from handfast.deploy.orders.operator import NO_MISSION, Known, Operator, refused
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, order, square

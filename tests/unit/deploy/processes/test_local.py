@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from handfast.agent.control.hand import Pose
-from handfast.agent.control.law_plugin import Law, Moment
+from handfast.agent.control.own_law import Law, Moment
 from handfast.agent.fleet.loading import load_fleet, parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.key_expressions import ROLES

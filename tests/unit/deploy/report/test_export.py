@@ -12,8 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from handfast.agent.common.errors import MissingPackageError
-from handfast.agent.common.exit import PASSED
+from handfast.agent.common.errors import PASSED, MissingPackageError
 from handfast.agent.messages.codec import encode
 from handfast.deploy.cli import main
 from handfast.deploy.recording.mcap_reader import read_run

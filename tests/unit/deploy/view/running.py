@@ -11,7 +11,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.sequence_numbers import FIRST_ROUND
+from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import HandState, Message, Mission, NeighbourStatus, PlantState, Status
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.view.live_fleet import LiveFleet

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.agent.common.exit import BAD_INPUT, INTERRUPTED, PASSED
+from handfast.agent.common.errors import BAD_INPUT, INTERRUPTED, PASSED
 from handfast.agent.messages.codec import encode
 from handfast.deploy.cli import main
 from handfast.deploy.inventory.registry import Registration
