@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-import tomllib
-from pathlib import Path
 
 import pytest
 
@@ -63,10 +61,3 @@ def test_text_of_a_recording_cannot_end_the_script_it_is_in() -> None:
     text = embedded({"fleet": "</script><script>alert(1)</script>"}, b"")
     assert "alert(1)</script>" not in text
     assert "\\u003c/script>\\u003cscript>alert(1)" in text
-
-
-def test_the_files_are_in_what_is_installed() -> None:
-    root = Path(__file__).parents[4]
-    project = tomllib.loads((root / "pyproject.toml").read_text())
-    assert "deploy" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["only-include"]
-    assert PAGE.is_relative_to(root / "deploy")
