@@ -1,7 +1,8 @@
-"""Where the files lie that come with the program, in `deploy/data/`."""
+"""Where the files lie that come with the program, and how to start the program once more."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -19,3 +20,14 @@ ROBOT_REQUIREMENTS: Final = _DATA / "robot_requirements.txt"
 def bundled(folder: Path = FLEETS) -> list[str]:
     """Names of the fleets, or the scenarios, that come with the program."""
     return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+_RUN: Final = (
+    "import sys; from handfast.deploy.cli import process; sys.argv[0] = 'handfast'; sys.exit(process())"
+)
+
+
+def handfast(*arguments: str) -> list[str]:
+    """The command line of ``handfast ARGUMENTS`` by this Python, whatever is on the path; nothing is imported
+    from the folder that it is called in."""
+    return [sys.executable, "-P", "-c", _RUN, *arguments]

@@ -23,9 +23,8 @@ from handfast.deploy.console.wording import robots, some
 from handfast.deploy.drive import realtime
 from handfast.deploy.drive.display.live_view import View
 from handfast.deploy.drive.fleet_state import FleetState, Record
-from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, why
+from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, Timing, clock, is_lifted, refusal, why
 from handfast.deploy.drive.standstill import Standstill
-from handfast.deploy.drive.timing import Timing
 from handfast.deploy.faults.process_actions import WORDS, Action, actions
 from handfast.deploy.orders.mission_editing import OrderError
 from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused

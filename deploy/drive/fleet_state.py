@@ -28,15 +28,14 @@ from handfast.agent.messages.types import (
 from handfast.agent.runtime.loop import RealClock
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.wording import robots, some
-from handfast.deploy.drive.readiness import in_words, is_ready, may_begin, waits
-from handfast.deploy.drive.vehicle_checks import VehicleChecks
+from handfast.deploy.drive.readiness import VehicleChecks, in_words, is_ready, may_begin, waits
 from handfast.deploy.drive.watch import Watch, fleet_time_s
 from handfast.deploy.faults.process_actions import Process
 from handfast.deploy.inventory.own_orders import OwnOrders
 from handfast.deploy.orders.operator import HEARD_NS, Operator, Order
 from handfast.deploy.processes.child import FleetProcesses
 from handfast.deploy.recording.run_files import RecordingError
-from handfast.deploy.session.author import author
+from handfast.deploy.session.faults import author
 from handfast.deploy.session.live_operators import StopDoor
 from handfast.deploy.session.session import valid
 

@@ -13,7 +13,7 @@ from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.display.live_view import View
 from handfast.deploy.drive.drive import Drive
-from handfast.deploy.drive.timing import Timing
+from handfast.deploy.drive.preconditions import Timing
 from handfast.deploy.inventory.registry import Registration
 from handfast.deploy.processes.attributes import interrupting_nobody
 from handfast.deploy.processes.child import environment

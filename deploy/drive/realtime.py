@@ -27,7 +27,7 @@ from handfast.agent.runtime.realtime_granted import (
     from_json,
     said,
 )
-from handfast.deploy.drive.vehicle_checks import OK, WARNING, Line, sentences
+from handfast.deploy.drive.readiness import OK, WARNING, Line, sentences
 from handfast.deploy.faults.process_actions import Process
 from handfast.deploy.processes.attributes import words_of
 from handfast.deploy.processes.child import FleetProcesses

@@ -11,8 +11,8 @@ from handfast.agent.messages import key_expressions
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.display.live_view import View
 from handfast.deploy.drive.fleet_state import COLLECT_S, FleetState
+from handfast.deploy.drive.preconditions import Timing
 from handfast.deploy.drive.readiness import stands
-from handfast.deploy.drive.timing import Timing
 from handfast.deploy.orders.stop_outcome import Stopping, has_acknowledged
 from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.session.stop import Way

@@ -33,9 +33,8 @@ from handfast.agent.messages.types import (
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, status_hz
 from handfast.deploy.analysis.places import AT_PLACE
 from handfast.deploy.analysis.silent_bodies import SilentBodies, SilentBody
-from handfast.deploy.drive.lagging import Lagging
-from handfast.deploy.drive.news import Happening, News
-from handfast.deploy.drive.vehicle_checks import Line
+from handfast.deploy.drive.news import Happening, Lagging, News
+from handfast.deploy.drive.readiness import Line
 from handfast.deploy.faults.live import Held, shown
 from handfast.deploy.faults.rules import defaults, held, lasts, words
 from handfast.deploy.orders.operator import Known

@@ -22,8 +22,8 @@ from handfast.agent.runtime.realtime_granted import Granted, from_json
 from handfast.agent.transport.bus import BusError
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.preflight import BOOT_TIMEOUT_S, TIMEOUT_S, Found, add
+from handfast.deploy.drive.readiness import BLOCKING, WARNING, Line, VehicleChecks, sentences
 from handfast.deploy.drive.realtime import NAME, lines
-from handfast.deploy.drive.vehicle_checks import BLOCKING, WARNING, Line, VehicleChecks, sentences
 from handfast.deploy.faults.process_actions import Process
 from handfast.deploy.hosts import systemd_units
 from handfast.deploy.hosts.connection import HostConnection, HostError

@@ -22,7 +22,7 @@ from handfast.deploy.inventory import hosts
 from handfast.deploy.inventory.hosts import robots_on
 from handfast.deploy.orders.robot_clocks import OFF_NS
 from handfast.deploy.orders.stop_outcome import SAYS_BRAKES, Stopping
-from handfast.deploy.session.sealing import sealed
+from handfast.deploy.session.operator_bus import sealed
 from handfast.deploy.session.stop_by_file import kept_versions
 
 LOOK_S: Final = 0.1

@@ -48,7 +48,7 @@ from handfast.deploy.hosts.remote_program import STOP_TEXT_MAX
 from handfast.deploy.hosts.setup import Prepared, prepare, start_router
 from handfast.deploy.inventory.hosts import robots_on, robots_text
 from handfast.deploy.inventory.operator_credentials import short
-from handfast.deploy.session.sealing import sealed, unsealed
+from handfast.deploy.session.operator_bus import sealed, unsealed
 
 SAY_PERIOD_S: Final = 0.25
 ORDERS_EACH: Final = 4

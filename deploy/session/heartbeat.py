@@ -11,8 +11,7 @@ from handfast.agent.messages.types import Heartbeat
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots
 from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS
-from handfast.deploy.session.author import author
-from handfast.deploy.session.fault_injection import Line
+from handfast.deploy.session.faults import Line, author
 from handfast.deploy.session.live_operators import StopDoor
 from handfast.deploy.session.session import INBOX, Session, connected
 

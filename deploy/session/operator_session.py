@@ -17,7 +17,7 @@ from handfast.deploy.analysis.silent_bodies import SilentBodies
 from handfast.deploy.console.wording import robots
 from handfast.deploy.inventory.own_orders import OwnOrders
 from handfast.deploy.orders.operator import Operator, Order
-from handfast.deploy.session.author import author
+from handfast.deploy.session.faults import author
 from handfast.deploy.session.session import INBOX, Session, always
 
 ASK_S: Final = 1.0

@@ -25,7 +25,7 @@ from handfast.agent.security.sealed_order import Forged, payload_of
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.check.load.sharing import sharing
 from handfast.deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
-from handfast.deploy.session.sealing import sealed
+from handfast.deploy.session.operator_bus import sealed
 
 WAY: Final = "by a file on this machine"
 

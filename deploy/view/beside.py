@@ -1,16 +1,24 @@
-"""The page of a fleet that a command drives: served by a process of its own, which never slows the drive."""
+"""What a page's server runs beside a fleet: the page of a drive, and drives that are started from a page."""
 
 from __future__ import annotations
 
+import json
 import subprocess
+import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final
 
+from handfast.agent.messages.types import Message
+from handfast.deploy.console.data_files import handfast
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.console.program import handfast
+from handfast.deploy.playback.scene import scene
+from handfast.deploy.playback.track import Track
+from handfast.deploy.verdict.run_result import RunResult
+from handfast.deploy.view.server import Content, page_files
 
 OVER: Final = b"over\n"
 """Says that the drive is over, and its recording not complete yet."""
@@ -71,3 +79,91 @@ class PageBeside:
             with suppress(OSError):  # it has ended, and that is no matter of the drive
                 self._process.stdin.write(what)
                 self._process.stdin.flush()
+
+
+LINES_MAX: Final = 20
+
+
+class StartUnderWay:
+    """The command in a process of its own: it has links of its own, and says what it waits for.
+
+    Args:
+        fleet: the fleet file that the robots read, or the fleet's name.
+        resume: lifts a stop that somebody has ordered.
+    """
+
+    what: Final = "start the mission"
+
+    def __init__(self, fleet: str, robots: int, *, resume: bool) -> None:
+        self._process = subprocess.Popen(
+            handfast("drive", fleet, "--detach", *(["--resume"] * resume)),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,  # a Ctrl-C is for the page's server, and leaves what is ordered as it is
+        )
+        self._robots = robots
+        self._lines: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as said:
+            for line in said:
+                self._lines = [*self._lines, line.strip()][-LINES_MAX:]
+
+    @property
+    def is_over(self) -> bool:
+        return self._process.poll() is not None and not self._reader.is_alive()
+
+    @property
+    def done(self) -> bool:
+        return self.is_over and self._process.returncode == 0
+
+    @property
+    def count(self) -> tuple[int, int]:
+        return (self._robots if self.done else 0), self._robots
+
+    def lines(self) -> list[str]:
+        return list(self._lines)
+
+    def feed(self, now_ns: int, key: str, message: Message) -> None:
+        """Nothing: it hears for itself."""
+
+    def step(self, now_ns: int) -> None:
+        """Nothing: it goes on by itself."""
+
+
+_PIECE: Final = "piece/"
+_ROWS: Final = "application/octet-stream"
+
+
+def answers(result: RunResult) -> Callable[[str], Content | None]:
+    """What a server of this run answers: the page and its files, `scene` (JSON), `overview` and ``piece/K``
+    (rows, `deploy.playback.track`).
+
+    Raises:
+        handfast.agent.formation.geometry.FormationError: the run's formation cannot be resolved.
+    """
+    track = Track(result)
+    description = Content(
+        json.dumps(scene(result, track), allow_nan=False).encode(), "application/json; charset=utf-8"
+    )
+    overview = Content(track.overview(), _ROWS)
+    files = page_files("recorded")
+
+    def answer(path: str) -> Content | None:
+        if path == "scene":
+            return description
+        if path == "overview":
+            return overview
+        if not path.startswith(_PIECE):
+            return files(path)
+        number = path.removeprefix(_PIECE)
+        is_there = number.isascii() and number.isdecimal() and len(number) < 10
+        return Content(track.piece(int(number)), _ROWS) if is_there and int(number) < track.pieces else None
+
+    return answer

@@ -22,7 +22,7 @@ from handfast.deploy.faults.live import (
     rule_of_options,
     text_of,
 )
-from handfast.deploy.session.fault_injection import ECHO_S, LEASE_NS, Putting, names
+from handfast.deploy.session.faults import ECHO_S, LEASE_NS, Putting, names
 from handfast.deploy.view.orders import RefusedError
 
 FIELDS: Final = frozenset({"link", "robot", "loss", "delay", "for"})
@@ -30,7 +30,7 @@ FIELDS: Final = frozenset({"link", "robot", "loss", "delay", "for"})
 
 
 class LiveFaults:
-    """Live rules over the links of who follows a fleet (`deploy.session.fault_injection.Operator`).
+    """Live rules over the links of who follows a fleet (`deploy.session.faults.Operator`).
 
     Attributes:
         held: who holds which rules.

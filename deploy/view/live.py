@@ -13,15 +13,14 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.playback.page import served_policy
 from handfast.deploy.session.stop import Way
+from handfast.deploy.view.beside import StartUnderWay
 from handfast.deploy.view.controls import Controls
 from handfast.deploy.view.faults import FaultUnderWay, HealUnderWay, LiveFaults
-from handfast.deploy.view.files import page_files
 from handfast.deploy.view.live_fleet import LiveFleet
 from handfast.deploy.view.moves import order_to_move
 from handfast.deploy.view.orders import ChangeUnderWay
 from handfast.deploy.view.pages import Pages
-from handfast.deploy.view.server import LOOPBACK, Answer, Server
-from handfast.deploy.view.start import StartUnderWay
+from handfast.deploy.view.server import LOOPBACK, Answer, Server, page_files
 
 TOKEN_BYTES: Final = 16
 

@@ -14,9 +14,8 @@ from handfast.deploy.console.wording import FEW
 from handfast.deploy.drive.fleet_state import FleetState
 from handfast.deploy.drive.preconditions import somebodys
 from handfast.deploy.orders.mission_editing import OrderError
-from handfast.deploy.orders.mission_outcome import Ordering, words
+from handfast.deploy.orders.mission_outcome import Ordering, Resuming, words
 from handfast.deploy.orders.operator import NO_MISSION, is_since
-from handfast.deploy.orders.resume_outcome import Resuming
 from handfast.deploy.orders.stop_outcome import Stopping, again_s
 from handfast.deploy.session.operator_session import SEND_PERIOD_S
 from handfast.deploy.session.order import CONFIRM_S, TAKE_S

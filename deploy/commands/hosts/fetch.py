@@ -53,7 +53,7 @@ def _fetch(options: argparse.Namespace) -> int:
     from handfast.deploy.merging.robot_files import MergeError
     from handfast.deploy.recording.run_files import RecordingError
     from handfast.deploy.report.run_folder import FolderError
-    from handfast.deploy.session.sealing import order_opener
+    from handfast.deploy.session.operator_bus import order_opener
 
     now_s = time.time()
     since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))

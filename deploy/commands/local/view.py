@@ -99,7 +99,7 @@ def _recorded(options: argparse.Namespace, folder: Path) -> int:
     from handfast.deploy.playback.page import served_policy
     from handfast.deploy.recording.mcap_reader import read_run
     from handfast.deploy.verdict.run_result import RunResult
-    from handfast.deploy.view.recorded import answers
+    from handfast.deploy.view.beside import answers
     from handfast.deploy.view.server import Server
 
     print(f"reading {options.what}", file=sys.stderr)
@@ -123,9 +123,8 @@ def _live(options: argparse.Namespace) -> int:
     from handfast.deploy.inventory.known_fleets import as_running, find
     from handfast.deploy.session.operator_bus import operator_bus
     from handfast.deploy.session.session import Session, connected
-    from handfast.deploy.view.certificate import address_of, tls_of
     from handfast.deploy.view.live import LiveServer
-    from handfast.deploy.view.server import LOOPBACK
+    from handfast.deploy.view.server import LOOPBACK, address_of, tls_of
 
     known = find(options.what)
     fleet = resolved(as_running(known))
@@ -206,7 +205,7 @@ async def _beside(folder: Path, server: LiveServer) -> None:
 def _answers(folder: Path) -> Answer:
     from handfast.deploy.recording.mcap_reader import read_run
     from handfast.deploy.verdict.run_result import RunResult
-    from handfast.deploy.view.recorded import answers
+    from handfast.deploy.view.beside import answers
 
     return answers(RunResult(read_run(folder)))
 
@@ -221,7 +220,7 @@ def _serve(options: argparse.Namespace, address: str, serving: Coroutine[Any, An
     """Serves until Ctrl-C."""
     import asyncio
 
-    from handfast.deploy.view.browser import open_browser
+    from handfast.deploy.view.server import open_browser
 
     try:
         print(f"{address}  (Ctrl-C ends it)", flush=True)

@@ -108,7 +108,7 @@ def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
     """Sends the rules, and keeps them in force until they end."""
     from handfast.deploy.console.interrupt import Interrupt
     from handfast.deploy.faults.live import text_of
-    from handfast.deploy.session.fault_injection import Putting, names
+    from handfast.deploy.session.faults import Putting, names
 
     text = text_of(rules)
     interrupt = Interrupt()
@@ -140,7 +140,7 @@ def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSessio
 def _show(options: argparse.Namespace) -> int:
     from handfast.agent.links.fault_plan import FaultPlan
     from handfast.deploy.faults.rules import defaults
-    from handfast.deploy.session.fault_injection import ECHO_S, names
+    from handfast.deploy.session.faults import ECHO_S, names
 
     fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:
@@ -188,7 +188,7 @@ def _line_of(rule: Rule, time_s: float | None) -> str:
 
 
 def _clear(options: argparse.Namespace) -> int:
-    from handfast.deploy.session.fault_injection import NothingToClearError, clear, names
+    from handfast.deploy.session.faults import NothingToClearError, clear, names
 
     fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:

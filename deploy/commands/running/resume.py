@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _resume(options: argparse.Namespace) -> int:
     from handfast.deploy.drive.preconditions import under_way
-    from handfast.deploy.session.resume import resume
+    from handfast.deploy.session.order import resume
 
     given_ns = time.time_ns()
     fleet = running_fleet(options.fleet)

@@ -6,7 +6,7 @@ const STALE_MS = 1500; // a server that says nothing for so long is gone, or sta
 const AGAIN_MS = 1000; // pause between attempts to reach it
 const BINS = 1000;
 const BIN_S = 0.1;
-const NUMBERS = 4_000_000; // of all that is kept of a drive; as deploy/view/history.py: of more every second row is left out
+const NUMBERS = 4_000_000; // of all that is kept of a drive; as deploy/view/live_fleet.py: of more every second row is left out
 
 // Reaches the server, and shows the fleet once it has said what that is.
 export function connected(checked) {

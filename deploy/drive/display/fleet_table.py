@@ -15,7 +15,7 @@ from handfast.agent.common.wording import printable
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.console.wording import some
 from handfast.deploy.drive.display.picture_wording import clock_words
-from handfast.deploy.drive.vehicle_checks import BLOCKING, WARNING
+from handfast.deploy.drive.readiness import BLOCKING, WARNING
 from handfast.deploy.drive.watch import RobotPicture
 
 STYLES: Final = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-from handfast.deploy.console.program import handfast
+from handfast.deploy.console.data_files import handfast
 
 
 def test_it_is_this_program_in_any_folder(tmp_path: Path) -> None:

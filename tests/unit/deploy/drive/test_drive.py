@@ -28,8 +28,7 @@ from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.attached import Attached
 from handfast.deploy.drive.display.live_view import Lines
 from handfast.deploy.drive.drive import FRESH_NS, SHOW_FIRST_NS, SHOW_PERIOD_NS, STOOD_NS, Drive
-from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
-from handfast.deploy.drive.timing import Timing
+from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, Timing, refusal
 from handfast.deploy.faults.process_actions import Action
 from handfast.deploy.orders.operator import Operator
 from handfast.deploy.recording.run_files import RecordingError

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.mavparm import MAVParmDict
 
 from handfast.deploy.drive.preflight import parameter_file, write_parameters
-from handfast.deploy.drive.vehicle_checks import Line
+from handfast.deploy.drive.readiness import Line
 
 CRASH = Line("FS_CRASH_CHECK", "warning", "0: it drives on against an obstacle", "set 1 (HOLD)")
 THRESHOLD = Line("FS_EKF_THRESH", "warning", "0: that its EKF fails goes unnoticed", "set 0.8")

@@ -6,9 +6,8 @@ import io
 
 import pytest
 
-from handfast.deploy.drive.preflight import show, summary
-from handfast.deploy.drive.preflight_matrix import LEGEND, matrix
-from handfast.deploy.drive.vehicle_checks import Line
+from handfast.deploy.drive.preflight import LEGEND, matrix, show, summary
+from handfast.deploy.drive.readiness import Line
 
 LINK = Line("link", "ok", "system 1 on udp:14550", "")
 MODE = Line("mode", "warning", "MANUAL", "its operator puts it into GUIDED")

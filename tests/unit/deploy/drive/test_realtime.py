@@ -17,8 +17,8 @@ from handfast.deploy.cli import main
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.drive import realtime
 from handfast.deploy.drive.preflight import summary
+from handfast.deploy.drive.readiness import OK, WARNING, Line
 from handfast.deploy.drive.realtime import RECORDING_NICE, lines, trial
-from handfast.deploy.drive.vehicle_checks import OK, WARNING, Line
 from handfast.deploy.processes.child import FleetProcesses
 
 ASKED = ProcessSection(realtime=True)

@@ -10,8 +10,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Checks, PlantState, Status
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.drive.preflight import Found, death, passed, summary, to_json
-from handfast.deploy.drive.readiness import may_begin, waits
-from handfast.deploy.drive.vehicle_checks import SETTLE_NS, Line, VehicleChecks
+from handfast.deploy.drive.readiness import SETTLE_NS, Line, VehicleChecks, may_begin, waits
 
 ROVERS = load_fleet(FLEETS / "rovers.toml", ["robot.6.plant=unicycle"])
 T0 = 1_800_000_000 * NS_PER_S

@@ -12,7 +12,7 @@ from handfast.agent.formation.geometry import resolve
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import CheckLine, Checks, HandState, PlantState, Stop
 from handfast.deploy.drive.news import ORDERED, Happening
-from handfast.deploy.drive.vehicle_checks import Line
+from handfast.deploy.drive.readiness import Line
 from handfast.deploy.drive.watch import PLANT_SILENT_NS, Watch, at_once, closest, nearest_of_each
 from tests.unit.deploy.orders.order_fleets import EPOCH, after, first_plan, order, square
 from tests.unit.deploy.synthetic_run import EPOCH_NS, make_fleet

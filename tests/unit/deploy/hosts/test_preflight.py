@@ -129,7 +129,7 @@ def world(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> World:
     monkeypatch.setattr(preflight, "QUIET_S", 0.2)
     monkeypatch.setattr(preflight, "TIMEOUT_S", 0.6)
     monkeypatch.setattr(preflight, "BOOT_TIMEOUT_S", 0.6)
-    monkeypatch.setattr("handfast.deploy.drive.vehicle_checks.SETTLE_NS", 1)
+    monkeypatch.setattr("handfast.deploy.drive.readiness.SETTLE_NS", 1)
     return there
 
 

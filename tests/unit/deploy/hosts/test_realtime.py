@@ -13,7 +13,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.runtime.realtime_granted import Granted, to_json
 from handfast.deploy.cli import main
-from handfast.deploy.drive.vehicle_checks import WARNING
+from handfast.deploy.drive.readiness import WARNING
 from handfast.deploy.hosts.connection import HostError
 from handfast.deploy.hosts.preflight import granted_on, lines_on, warnings
 from handfast.deploy.hosts.systemd_units import unit_name

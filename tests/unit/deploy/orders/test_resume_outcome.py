@@ -15,7 +15,7 @@ from handfast.agent.supervision.situation import NOT_SAID
 from handfast.agent.supervision.state_machine import MISSION_OVER
 from handfast.deploy.console.arguments import InputError, robots_named
 from handfast.deploy.console.data_files import FLEETS
-from handfast.deploy.orders.resume_outcome import Resuming
+from handfast.deploy.orders.mission_outcome import Resuming
 
 ROVERS = load_fleet(FLEETS / "rovers.toml")
 T0 = 1_800_000_000 * NS_PER_S

@@ -10,7 +10,7 @@ import pytest
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import Stop
 from handfast.deploy.console.arguments import InputError
-from handfast.deploy.session.sealing import sealed
+from handfast.deploy.session.operator_bus import sealed
 from tests.unit.deploy.orders.order_fleets import square
 
 FLEET = square()

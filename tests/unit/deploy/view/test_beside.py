@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from handfast.deploy.console import program
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.view.beside import OVER, RECORDED, PageBeside
 
@@ -22,7 +21,7 @@ def interrupt() -> Interrupt:
 
 
 def command(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    monkeypatch.setattr(program, "_RUN", text)
+    monkeypatch.setattr("handfast.deploy.console.data_files._RUN", text)
 
 
 def test_it_is_told_how_the_drive_goes(

@@ -16,7 +16,7 @@ from handfast.agent.security.credentials import AUTHORITY_CERTIFICATE
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.inventory.certificate_authority import INDEX_FILE
 from handfast.deploy.inventory.operator_credentials import KEYS
-from handfast.deploy.view.certificate import address_of, tls_of
+from handfast.deploy.view.server import address_of, tls_of
 from tests.trusted import authority
 
 HERE = "127.0.0.2"

@@ -11,7 +11,7 @@ import pytest
 
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import EVERY_AUTHOR, Faults
-from handfast.deploy.session.fault_injection import (
+from handfast.deploy.session.faults import (
     AFTER_END_NS,
     ECHO_S,
     LEASE_NS,

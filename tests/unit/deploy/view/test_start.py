@@ -9,8 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from handfast.deploy.console import program
-from handfast.deploy.view.start import StartUnderWay
+from handfast.deploy.view.beside import StartUnderWay
 
 SAYS_ITS_ARGUMENTS = "import sys; print(*sys.argv[1:], sep='|')"
 
@@ -20,7 +19,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., StartUnde
     made: list[StartUnderWay] = []
 
     def start(command: str, fleet: str = "a fleet.toml", *, resume: bool = False) -> StartUnderWay:
-        monkeypatch.setattr(program, "_RUN", command)
+        monkeypatch.setattr("handfast.deploy.console.data_files._RUN", command)
         made.append(StartUnderWay(fleet, 3, resume=resume))
         return made[-1]
 

@@ -28,7 +28,7 @@ from handfast.deploy.faults.live import (
     text_of,
 )
 from handfast.deploy.faults.rules import next_begin, window, words
-from handfast.deploy.session.fault_injection import Putting, clear, names
+from handfast.deploy.session.faults import Putting, clear, names
 
 FLEET = load_fleet(FLEETS / "pair.toml")
 IDS = (1, 2, 3)
@@ -182,7 +182,7 @@ class World:
 
 
 class Somebody:
-    """One operator in the world, a `deploy.session.fault_injection.Operator`."""
+    """One operator in the world, a `deploy.session.faults.Operator`."""
 
     fleet = FLEET
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from handfast.deploy.drive.display.fleet_table import COLUMNS, table
-from handfast.deploy.drive.vehicle_checks import OK, Line
+from handfast.deploy.drive.readiness import OK, Line
 from handfast.deploy.drive.watch import RobotPicture
 
 HEADINGS = [column.heading for column in COLUMNS]
