@@ -157,6 +157,7 @@ BEFORE = {
 """What is said of each mistake before anything drives."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("command", "status"), [("simulate", 2), ("run", 1)])
 def test_unchecked_it_is_the_same_line(command: str, status: int, tmp_path: Path) -> None:
     arguments = f"{command} delta --no-check --no-report --duration 2s --out out --set control.law=mistakes:"
