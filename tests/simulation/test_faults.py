@@ -243,7 +243,7 @@ def test_measurements_that_are_lost_are_bridged():
 
 
 def test_sensors_that_fail_for_long_are_a_fault_that_ends():
-    run = Run("robot = 2\nat = 5\nfor = 1\ndropout = 1").until(5.5)
+    run = Run('robot = 2\nat = 5\nfor = 1\ntopic = "state"\nloss = "100%"').until(5.5)
     assert run.agent(2).state is State.FAULT
     assert "plant silent" in run.agent(2).reason
     run.until(6.5)

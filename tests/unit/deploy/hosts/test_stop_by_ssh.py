@@ -171,11 +171,11 @@ def test_it_is_sealed_and_judged_by_the_clock_of_each_host(
     way, by = SshWay(fleet, []), []
     stopping = Stopping(fleet, time.time_ns(), "lunch")
 
-    def sealed(_: Fleet, order: bytes, ahead_ns: int = 0) -> tuple[bytes, ...]:
+    def sealed(_: Fleet, order: bytes, ahead_ns: int = 0) -> bytes:
         if not ahead_ns:
             raise InputError("its certificate is not valid yet")
         by.append(ahead_ns)
-        return (order,)
+        return order
 
     class There:
         host = fleet.hosts[0]
