@@ -14,9 +14,18 @@ from numpy.typing import NDArray
 from handfast.agent.formation.geometry import Geometry
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.desired import MissionChange, desired
-from handfast.deploy.analysis.gaps import PoseGap, kept_through, pose_gaps, unknown
-from handfast.deploy.analysis.presence import Flags, Uncommanded, away, downs, uncommanded
-from handfast.deploy.analysis.removals import carried_off
+from handfast.deploy.analysis.presence import (
+    Flags,
+    PoseGap,
+    Uncommanded,
+    away,
+    carried_off,
+    downs,
+    kept_through,
+    pose_gaps,
+    uncommanded,
+    unknown,
+)
 from handfast.deploy.analysis.stability import SETTLED
 from handfast.deploy.recording.recording import Recording
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis, norm
-from handfast.deploy.analysis.gaps import kept_through
-from handfast.deploy.analysis.presence import Flags
+from handfast.deploy.analysis.presence import Flags, kept_through
 
 LAST_S: Final = 2.0
 """Who was at its place once in the last so many seconds is not off it."""

@@ -19,8 +19,7 @@ from handfast.agent.formation.points import Floats
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.analysis.analysis import Analysis, hands_at
 from handfast.deploy.analysis.clearances import distances
-from handfast.deploy.analysis.gaps import GAP_S, PoseGap, is_lost, pose_gaps
-from handfast.deploy.analysis.presence import downs
+from handfast.deploy.analysis.presence import GAP_S, PoseGap, downs, is_lost, pose_gaps
 from handfast.deploy.console.wording import NAMES_SHOWN, robots
 from handfast.deploy.recording.recording import Damage, Recording
 from handfast.deploy.verdict.lateness import late_robots

@@ -24,9 +24,8 @@ from handfast.agent.fleet.fault_rules import ACTION_FIELDS
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
 from handfast.deploy.analysis.analysis import Analysis, norm
 from handfast.deploy.analysis.balance import rest_shapes
-from handfast.deploy.analysis.gaps import kept_through
 from handfast.deploy.analysis.places import LAST_S, allowed_m, distances_m, together
-from handfast.deploy.analysis.presence import Flags, downs, said
+from handfast.deploy.analysis.presence import Flags, downs, kept_through, said
 from handfast.deploy.console.wording import robots, speed_limit
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.verdict.missing import last_states

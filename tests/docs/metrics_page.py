@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from textwrap import fill
 
-from handfast.deploy.analysis.gaps import GAP_S, PERIODS
+from handfast.deploy.analysis.presence import GAP_S, PERIODS
 from handfast.deploy.verdict.metrics import METRICS, Metric
 from handfast.deploy.verdict.missing import SHARE_MAX
 from handfast.deploy.verdict.oracles_drive import SPEED_MORE_MPS, SPEED_SHARE

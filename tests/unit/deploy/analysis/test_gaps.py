@@ -11,7 +11,7 @@ import pytest
 from handfast.agent.formation.geometry import resolve
 from handfast.agent.messages.types import Event, PlantState
 from handfast.deploy.analysis.analysis import Analysis, analyse
-from handfast.deploy.analysis.gaps import is_lost, kept_through, pose_gaps, unknown
+from handfast.deploy.analysis.presence import is_lost, kept_through, pose_gaps, unknown
 from handfast.deploy.recording.recording import Damage, Recording
 from tests.unit.deploy.judged_run import body, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Path, make_fleet, messages, standing
