@@ -19,9 +19,8 @@ from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
 from handfast.deploy.analysis.analysis import Analysis, norm
-from handfast.deploy.analysis.balance import caught, last_caught_s
 from handfast.deploy.analysis.clearances import distances
-from handfast.deploy.analysis.places import LAST_S, allowed_m, distances_m, together
+from handfast.deploy.analysis.places import LAST_S, allowed_m, caught, distances_m, last_caught_s, together
 from handfast.deploy.analysis.presence import Flags, downs, said
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.tables import StatusTable

@@ -23,8 +23,7 @@ from handfast.agent.control.limits import speed_max
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
 from handfast.deploy.analysis.analysis import Analysis, norm
-from handfast.deploy.analysis.balance import rest_shapes
-from handfast.deploy.analysis.places import LAST_S, allowed_m, distances_m, together
+from handfast.deploy.analysis.places import LAST_S, allowed_m, distances_m, rest_shapes, together
 from handfast.deploy.analysis.presence import Flags, downs, kept_through, said
 from handfast.deploy.console.wording import robots, speed_limit
 from handfast.deploy.recording.recording import Recording

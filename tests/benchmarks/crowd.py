@@ -16,7 +16,7 @@ import numpy as np
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve
 from handfast.deploy.analysis.analysis import analyse
-from handfast.deploy.analysis.balance import caught
+from handfast.deploy.analysis.places import caught
 from handfast.deploy.console.arguments import fleet_path, fleet_text
 from handfast.deploy.simulate.worker_pool import GoOn
 from handfast.deploy.sweep.plan import Plan, Question, make_plan

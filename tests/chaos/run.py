@@ -11,7 +11,7 @@ from typing import Final
 
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolved
-from handfast.deploy.analysis.balance import caught
+from handfast.deploy.analysis.places import caught
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import error_text
 from handfast.deploy.drive.display.live_view import make_view
