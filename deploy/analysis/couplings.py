@@ -29,7 +29,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry
 from handfast.deploy.analysis import fleet_law, patience
 from handfast.deploy.analysis.fleet_law import Array, Edges
-from handfast.deploy.analysis.rigidity import rigidity_matrix
+from handfast.deploy.analysis.shapes import rigidity_matrix
 
 SQUARES_MAX: Final = 12
 """So often a matrix is squared at most to see whether its powers die away: to its 4096th power."""

@@ -19,7 +19,7 @@ from handfast.agent.formation.geometry import Geometry, resolve, start_hands
 from handfast.agent.formation.trajectory import make_trajectory
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.deploy.analysis.couplings import coupling_of, law_of
-from handfast.deploy.analysis.rigidity import is_rigid
+from handfast.deploy.analysis.shapes import is_rigid
 from handfast.deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from handfast.deploy.check.capacity import describe_cost
 from handfast.deploy.check.load.network import describe_links, describe_topology

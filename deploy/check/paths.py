@@ -14,7 +14,7 @@ from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry
 from handfast.agent.formation.points import Floats
 from handfast.agent.formation.trajectory import make_trajectory
-from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.shapes import distances
 
 _CELLS: Final = 256
 """Pieces that a drive is cut into at first."""

@@ -16,7 +16,7 @@ from handfast.agent.control.limits import avoidance_distance, clearance, least_a
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import Geometry
 from handfast.agent.formation.points import Floats
-from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.shapes import distances
 from handfast.deploy.check.braking import check_braking, check_room, check_sudden
 from handfast.deploy.check.finding import Finding, Level
 from handfast.deploy.check.paths import Paths

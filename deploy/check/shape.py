@@ -13,7 +13,7 @@ from handfast.agent.formation.graph import components, connected
 from handfast.agent.formation.points import Floats, edge_lengths
 from handfast.agent.formation.realisation import DISTANCE_TOLERANCE
 from handfast.agent.formation.trajectory import make_trajectory
-from handfast.deploy.analysis.rigidity import is_collinear, is_rigid, loose, rigidity_rank
+from handfast.deploy.analysis.shapes import is_collinear, is_rigid, loose, rigidity_rank
 from handfast.deploy.check.finding import Finding
 from handfast.deploy.check.safety import start_points
 from handfast.deploy.console.wording import NAMES_SHOWN, robots, some

@@ -18,8 +18,8 @@ from handfast.agent.control.boundaries import fence_of, obstacles_of
 from handfast.agent.formation.points import Floats
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.analysis.analysis import Analysis, hands_at
-from handfast.deploy.analysis.clearances import distances
 from handfast.deploy.analysis.presence import GAP_S, PoseGap, downs, is_lost, pose_gaps
+from handfast.deploy.analysis.shapes import distances
 from handfast.deploy.console.wording import NAMES_SHOWN, robots
 from handfast.deploy.recording.recording import Damage, Recording
 from handfast.deploy.verdict.lateness import late_robots

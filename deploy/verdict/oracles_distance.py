@@ -12,8 +12,8 @@ from handfast.agent.control.limits import clearance as clearance_of
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
 from handfast.deploy.analysis.analysis import Analysis, Approaches
-from handfast.deploy.analysis.clearances import distances
 from handfast.deploy.analysis.presence import Flags, said
+from handfast.deploy.analysis.shapes import distances
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.verdict.violations import Violation, lasting
 from handfast.plant.unicycle import BRAKE_DECELERATION_MAX

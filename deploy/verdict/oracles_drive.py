@@ -19,9 +19,9 @@ from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, State
 from handfast.deploy.analysis.analysis import Analysis, norm
-from handfast.deploy.analysis.clearances import distances
 from handfast.deploy.analysis.places import LAST_S, allowed_m, caught, distances_m, last_caught_s, together
 from handfast.deploy.analysis.presence import Flags, downs, said
+from handfast.deploy.analysis.shapes import distances
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.tables import StatusTable
 from handfast.deploy.verdict.violations import Violation, is_constant, lasting, windows

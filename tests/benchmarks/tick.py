@@ -35,7 +35,7 @@ from handfast.agent.supervision import outbox
 from handfast.agent.supervision.neighbour_trust import NeighbourTrust
 from handfast.agent.supervision.situation import Situation
 from handfast.agent.supervision.state_machine import State
-from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.console.arguments import fleet_path
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.simulate import simulation

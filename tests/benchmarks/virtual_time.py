@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
-from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.console.arguments import fleet_path
 from handfast.deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, number, spread

@@ -11,8 +11,8 @@ import numpy as np
 
 from handfast.agent.common.quantities import Vector
 from handfast.agent.formation.assignment import assign_slots
-from handfast.deploy.analysis.lattice import edges as patch_edges
-from handfast.deploy.analysis.lattice import places as patch_places
+from handfast.deploy.analysis.shapes import edges as patch_edges
+from handfast.deploy.analysis.shapes import places as patch_places
 from tests.chaos.dice import Dice, Range, Tables
 
 APART_FACTOR: Final = 2.2

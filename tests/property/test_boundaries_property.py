@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from handfast.agent.control.boundaries import Circle, Polygon
-from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.shapes import distances
 
 COORDINATE = st.floats(-20.0, 20.0)
 

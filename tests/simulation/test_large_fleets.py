@@ -14,7 +14,7 @@ from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Ask, Beacon, Mission, Resume, Stop
-from handfast.deploy.analysis.lattice import lattice as driving_lattice
+from handfast.deploy.analysis.shapes import lattice as driving_lattice
 from handfast.deploy.simulate.simulation import Simulation
 
 SIDE = 9

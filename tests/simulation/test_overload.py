@@ -16,7 +16,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.types import Beacon, HandState, Status, Stop
 from handfast.agent.supervision.state_machine import DRIVING, State
-from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.simulate.simulation import Simulation
 from tests.hand_trace import HandTrace, Trace

@@ -42,7 +42,7 @@ def _new(options: argparse.Namespace) -> int:
 def _text(options: argparse.Namespace) -> str:
     if options.lattice is None:
         return TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)
-    from handfast.deploy.analysis.lattice import ROBOTS_MAX, ROBOTS_MIN, lattice
+    from handfast.deploy.analysis.shapes import ROBOTS_MAX, ROBOTS_MIN, lattice
 
     if not ROBOTS_MIN <= options.lattice <= ROBOTS_MAX:
         raise InputError(f"--lattice: must be {ROBOTS_MIN} to {ROBOTS_MAX} robots, got {options.lattice}")

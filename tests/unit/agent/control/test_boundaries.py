@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handfast.agent.control.boundaries import Circle, Near, Polygon, fence_of, obstacles_of
-from handfast.deploy.analysis.clearances import distances
+from handfast.deploy.analysis.shapes import distances
 from tests.unit.agent.fleet.fleet_texts import SMALL, small
 
 BOX = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (0.0, 2.0))

@@ -9,8 +9,7 @@ import pytest
 from handfast.agent.control.limits import steps
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolve, start_hands
-from handfast.deploy.analysis.lattice import ROBOTS_MIN, SCATTER_M, SIDE_M, edges, lattice, places
-from handfast.deploy.analysis.rigidity import is_rigid
+from handfast.deploy.analysis.shapes import ROBOTS_MIN, SCATTER_M, SIDE_M, edges, is_rigid, lattice, places
 from handfast.deploy.check.check import check
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfast.deploy.analysis.rigidity import is_collinear, is_rigid, loose, rigidity_rank
+from handfast.deploy.analysis.shapes import is_collinear, is_rigid, loose, rigidity_rank
 from tests.unit.agent.formation.delta import DELTA, DELTA_EDGES, RING, SQUARE, H
 
 

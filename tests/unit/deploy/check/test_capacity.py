@@ -10,7 +10,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.formation.geometry import resolved
-from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.check.capacity import (
     FULL,
     ROBOTS_MIN,

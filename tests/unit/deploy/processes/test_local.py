@@ -14,7 +14,7 @@ from handfast.agent.control.own_law import Law, Moment
 from handfast.agent.fleet.loading import load_fleet, parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.key_expressions import ROLES
-from handfast.deploy.analysis.lattice import lattice as grid
+from handfast.deploy.analysis.shapes import lattice as grid
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.faults.process_actions import Action
 from handfast.deploy.processes import local

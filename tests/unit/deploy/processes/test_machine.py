@@ -15,7 +15,7 @@ import pytest
 from handfast.agent.fleet.loading import load_fleet, parse_fleet
 from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.formation.geometry import resolved
-from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.check.capacity import FULL, Machine, cost_of, used
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.processes import machine

@@ -18,7 +18,7 @@ from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Message, PlantState, Status, Stop
 from handfast.agent.runtime import order_store
-from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.orders import stop_outcome
 from handfast.deploy.orders.stop_outcome import Stopping
 from handfast.deploy.session import live_operators

@@ -13,7 +13,7 @@ from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Resume, Status, Stop
 from handfast.agent.transport.bus import BusError
-from handfast.deploy.analysis.lattice import lattice
+from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.console.arguments import InputError
 from handfast.deploy.inventory.own_orders import OwnOrders
 from handfast.deploy.orders.stop_outcome import PLANT_BRAKES, Stopping

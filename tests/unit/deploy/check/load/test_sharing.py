@@ -9,7 +9,7 @@ import pytest
 
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.deploy.analysis.lattice import lattice as grid
+from handfast.deploy.analysis.shapes import lattice as grid
 from handfast.deploy.check.load.sharing import sharing
 
 
