@@ -32,7 +32,7 @@ from handfast.agent.messages.types import (
 )
 from handfast.agent.supervision.state_machine import DRIVING_NAMES, status_hz
 from handfast.deploy.analysis.places import AT_PLACE
-from handfast.deploy.analysis.silent_bodies import SilentBodies, SilentBody
+from handfast.deploy.analysis.silence import SilentBodies, SilentBody
 from handfast.deploy.drive.news import Happening, Lagging, News
 from handfast.deploy.drive.readiness import Line
 from handfast.deploy.faults.live import Held, shown

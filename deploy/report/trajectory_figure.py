@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis
-from handfast.deploy.analysis.silent_bodies import SilentBody, bodies_of
+from handfast.deploy.analysis.silence import SilentBody, bodies_of
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.report.drawing.labels import POINTS_PER_INCH, Boxes, along, beside, text_size
 from handfast.deploy.report.drawing.layout import GridLayout

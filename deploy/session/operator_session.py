@@ -13,7 +13,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve, resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, Resume, Status, Stop
-from handfast.deploy.analysis.silent_bodies import SilentBodies
+from handfast.deploy.analysis.silence import SilentBodies
 from handfast.deploy.console.wording import robots
 from handfast.deploy.inventory.own_orders import OwnOrders
 from handfast.deploy.orders.operator import Operator, Order

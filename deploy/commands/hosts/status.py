@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from handfast.agent.fleet.hosts import HostSection
     from handfast.agent.messages.types import Status
-    from handfast.deploy.analysis.silent_bodies import SilentBody
+    from handfast.deploy.analysis.silence import SilentBody
     from handfast.deploy.hosts.status import HostStatus
     from handfast.deploy.inventory.expiry import Expiry
     from handfast.deploy.inventory.known_fleets import KnownFleet
@@ -79,7 +79,7 @@ def _status(options: argparse.Namespace) -> int:
     if options.fleet is None:
         return _list(options)
     from handfast.agent.formation.geometry import resolved
-    from handfast.deploy.analysis.silent_bodies import in_words
+    from handfast.deploy.analysis.silence import in_words
     from handfast.deploy.hosts.status import host_rows, print_table
     from handfast.deploy.inventory.expiry import summary
     from handfast.deploy.inventory.hosts import hosts_of, located

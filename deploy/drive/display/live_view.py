@@ -6,7 +6,7 @@ import sys
 from importlib.util import find_spec
 from typing import Protocol, TextIO
 
-from handfast.deploy.analysis.silent_bodies import in_words
+from handfast.deploy.analysis.silence import in_words
 from handfast.deploy.console.views import LinesView, Speaker
 from handfast.deploy.drive.display.picture_wording import REASONS_MAX, faults_line, summary
 from handfast.deploy.drive.watch import Picture

@@ -7,7 +7,7 @@ from typing import TextIO
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.progress import BarColumn, Progress, TextColumn
 
-from handfast.deploy.analysis.silent_bodies import in_words
+from handfast.deploy.analysis.silence import in_words
 from handfast.deploy.console.terminal import TerminalView, plain
 from handfast.deploy.drive.display.fleet_table import ROWS_MAX, ROWS_MIN, table
 from handfast.deploy.drive.display.picture_wording import REASONS_MAX, faults_line, packed, parts

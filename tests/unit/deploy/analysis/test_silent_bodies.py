@@ -6,7 +6,7 @@ import pytest
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages.types import Beacon, Removed, Silent
-from handfast.deploy.analysis.silent_bodies import SilentBodies, in_words
+from handfast.deploy.analysis.silence import SilentBodies, in_words
 from tests.unit.deploy.synthetic_run import EPOCH_NS
 
 
