@@ -16,8 +16,7 @@ from handfast.agent.control.limits import barrier_rate, speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.check.check import check
 from handfast.deploy.check.finding import Finding
-from handfast.deploy.check.load.network import load_of
-from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.check.network import load_of, sharing
 
 ROBOTS_MIN: Final = 13
 """Smaller fleets are not looked at: they fit; unless they ask for real time (`is_looked_at`)."""

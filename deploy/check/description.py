@@ -22,8 +22,7 @@ from handfast.deploy.analysis.couplings import coupling_of, law_of
 from handfast.deploy.analysis.shapes import is_rigid
 from handfast.deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from handfast.deploy.check.capacity import describe_cost
-from handfast.deploy.check.load.network import describe_links, describe_topology
-from handfast.deploy.check.load.radio import describe_radio
+from handfast.deploy.check.network import describe_links, describe_radio, describe_topology
 from handfast.deploy.check.safety import parting
 from handfast.deploy.console.wording import robots, some
 from handfast.deploy.faults.rules import defaults, described, words

@@ -20,7 +20,7 @@ from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.timed_rules import LinkEffects
 from handfast.agent.messages.types import FUTURE_NS_MAX
 from handfast.deploy.check.finding import Finding, Level
-from handfast.deploy.check.load.radio import hand_bytes
+from handfast.deploy.check.network import hand_bytes
 from handfast.deploy.console.wording import NAMES_SHOWN, robots
 from handfast.deploy.faults.rules import acts_on_links, windows, words
 from handfast.deploy.recording.tables import Link, links_of

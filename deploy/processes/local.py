@@ -16,7 +16,7 @@ from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.runtime.order_store import order_file
 from handfast.agent.runtime.process import log_name
 from handfast.agent.runtime.realtime_granted import Granted, look
-from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.check.network import sharing
 from handfast.deploy.console.wording import robots
 from handfast.deploy.faults.process_actions import Action, Process
 from handfast.deploy.processes.attributes import niceness

@@ -23,7 +23,7 @@ from handfast.agent.runtime.order_store import (
 from handfast.agent.security.private_files import KeyFileError, exists, read, write
 from handfast.agent.security.sealed_order import Forged, payload_of
 from handfast.agent.supervision.state_machine import State
-from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.check.network import sharing
 from handfast.deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
 from handfast.deploy.session.operator_bus import sealed
 

@@ -15,7 +15,7 @@ from handfast.agent.messages.types import Resume, Stop
 from handfast.agent.runtime.order_store import STOP_FILE, OrderStore, packed, unpacked
 from handfast.agent.security.private_files import private_directory
 from handfast.deploy.analysis.shapes import lattice
-from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.check.network import sharing
 from handfast.deploy.orders.stop_outcome import Stopping
 from handfast.deploy.session.stop_by_file import WAY, FileWay, kept_versions
 from tests.unit.deploy.orders.order_fleets import square

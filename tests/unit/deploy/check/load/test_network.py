@@ -6,7 +6,7 @@ import pytest
 
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.deploy.check.load.network import check_network, describe_links, describe_topology, load_of
+from handfast.deploy.check.network import check_network, describe_links, describe_topology, load_of
 from handfast.deploy.console.data_files import FLEETS
 
 

@@ -11,8 +11,7 @@ from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.formation.geometry import resolve, resolved
 from handfast.agent.messages import key_expressions
 from handfast.deploy.check.description import describe
-from handfast.deploy.check.load.network import beacon_hz, listeners, neighbours
-from handfast.deploy.check.load.radio import hand_bytes, radio_loads
+from handfast.deploy.check.network import beacon_hz, hand_bytes, listeners, neighbours, radio_loads
 from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.simulate.simulation import Simulation
 

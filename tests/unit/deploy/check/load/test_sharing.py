@@ -10,7 +10,7 @@ import pytest
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.analysis.shapes import lattice as grid
-from handfast.deploy.check.load.sharing import sharing
+from handfast.deploy.check.network import sharing
 
 
 def lattice(n: int, rate_hz: float, *overrides: str) -> Fleet:
