@@ -16,14 +16,19 @@ from handfast.agent.formation.geometry import Geometry, resolve
 from handfast.deploy.check.bodies import check_motion, check_noise
 from handfast.deploy.check.faults import check_faults
 from handfast.deploy.check.finding import Finding
-from handfast.deploy.check.loop import check_gains, check_loop, check_lowest_rate, check_saturation
+from handfast.deploy.check.loop import (
+    check_gains,
+    check_loop,
+    check_lowest_rate,
+    check_saturation,
+    check_sending,
+    check_stiffness,
+)
 from handfast.deploy.check.network import check_network
 from handfast.deploy.check.orders import check_orders
 from handfast.deploy.check.realtime import check_realtime
 from handfast.deploy.check.safety import check_safety
-from handfast.deploy.check.sending import check_sending
 from handfast.deploy.check.shape import check_shape, check_starts, check_structure, unplaced
-from handfast.deploy.check.stiffness import check_stiffness
 from handfast.deploy.check.vehicles import check_vehicles
 
 __all__ = ["Finding", "check"]

@@ -1,4 +1,4 @@
-"""handfast.deploy.check.sending: what check says of hand states that are sent at events."""
+"""handfast.deploy.check.loop: what check says of hand states that are sent at events."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.check.check import check
 from handfast.deploy.check.finding import Finding
-from handfast.deploy.check.sending import check_sending
+from handfast.deploy.check.loop import check_sending
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0.2 }]

@@ -1,4 +1,4 @@
-"""handfast.deploy.check.stiffness: when check says that a formation may fold, and what it says would be
+"""handfast.deploy.check.loop: when check says that a formation may fold, and what it says would be
 right."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import pytest
 
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve
-from handfast.deploy.check.stiffness import check_stiffness, stiffness
+from handfast.deploy.check.loop import check_stiffness, stiffness
 from tests.unit.deploy.synthetic_run import make_fleet
 
 PLACES = ((0.0, -1.1547), (0.5, -0.2887), (-0.5, -0.2887), (1.0, 0.5774), (0.0, 0.5774), (-1.0, 0.5774))
