@@ -12,8 +12,7 @@ from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolve
 from handfast.deploy.check.finding import Finding
-from handfast.deploy.check.paths import Paths
-from handfast.deploy.check.safety import check_safety, parting
+from handfast.deploy.check.safety import Paths, check_safety, parting
 
 # Three robots in a row from west to east, 1 m apart, 0.1 m ahead of their axles; they drive east.
 ROW = """
