@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from handfast.deploy.console.arguments import FIGURE_FORMATS
 from handfast.deploy.recording.run_files import RecordingError
-from handfast.deploy.report import distance_figure, force_figure, link_figure, timing_figure
+from handfast.deploy.report import distance_figure, force_figure, links, timing_figure
 from handfast.deploy.report.drawing.plotting import styled, write
 from handfast.deploy.report.drawing.side_by_side import side_by_side
 from handfast.deploy.report.trajectory_figure import trajectories
@@ -22,13 +22,13 @@ PICTURES: Final[Mapping[str, Callable[[RunResult], Figure]]] = {
     "distances": distance_figure.distances,
     "forces": force_figure.forces,
     "timing": timing_figure.timing,
-    link_figure.NAME: link_figure.links,
+    links.NAME: links.links,
 }
 _WORTH_DRAWING: Final[Mapping[str, Callable[[RunResult], bool]]] = {
     "distances": distance_figure.worth_drawing,
     "forces": force_figure.worth_drawing,
     "timing": timing_figure.worth_drawing,
-    link_figure.NAME: link_figure.worth_drawing,
+    links.NAME: links.worth_drawing,
 }
 """Whether there is anything to see on one; without an entry there always is."""
 _OF_THE_PAGE: Final = "png"

@@ -25,7 +25,7 @@ from handfast.deploy.playback.scene import scene
 from handfast.deploy.playback.track import Track
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
-from handfast.deploy.report import figures, link_figure, link_section, oracle_section
+from handfast.deploy.report import figures, links, oracle_section
 from handfast.deploy.report.html import CSS, bullets, figure, inside, shown, table
 from handfast.deploy.report.trajectory_figure import silent_bodies
 from handfast.deploy.report.whole_file import whole_file
@@ -68,7 +68,7 @@ def advice(result: RunResult) -> list[str]:
     """What to try after a run that failed or has warnings: sentences (HTML, escaped)."""
     out: list[str] = []
     recording, found = result.recording, result.metrics
-    more = [*_advice_apart(result.fleet, found), *link_section.advice(recording, found)]
+    more = [*_advice_apart(result.fleet, found), *links.advice(recording, found)]
     if result.passed:
         return more
     safe = result.analysis.safe_m
@@ -204,7 +204,7 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         _robots_table(recording, result.analysis),
         _silent_table(recording),
         oracle_section.section(recording, found),
-        link_section.section(recording, found, pictures.get(link_figure.NAME)),
+        links.section(recording, found, pictures.get(links.NAME)),
         "<h2>Forces and timing</h2>" if {"forces", "timing"} & set(pictures) else "",
         _figures(pictures, "forces", "timing"),
         "<h2>Do it again</h2>",

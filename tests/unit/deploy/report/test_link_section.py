@@ -16,8 +16,8 @@ from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.rows import StatusRows
 from handfast.deploy.recording.tables import EXACT
-from handfast.deploy.report import link_figure
-from handfast.deploy.report.link_section import advice
+from handfast.deploy.report import links
+from handfast.deploy.report.links import advice
 from handfast.deploy.report.run_folder import rebuild, write_result
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio
@@ -139,4 +139,4 @@ def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
     mute = StatusRows(1, Store()).table(0, EXACT)
     empty = replace(quiet, robots={robot: replace(d, status=mute) for robot, d in quiet.robots.items()})
     for recording in (whole, quiet, empty, replace(whole, epoch_ns=None, missions=())):
-        link_figure.links(RunResult(recording))
+        links.links(RunResult(recording))
