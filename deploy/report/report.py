@@ -25,7 +25,7 @@ from handfast.deploy.playback.scene import scene
 from handfast.deploy.playback.track import Track
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
-from handfast.deploy.report import figures, links, oracle_section
+from handfast.deploy.report import figures, html, links
 from handfast.deploy.report.html import CSS, bullets, figure, inside, shown, table
 from handfast.deploy.report.trajectory_figure import silent_bodies
 from handfast.deploy.report.whole_file import whole_file
@@ -203,7 +203,7 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         "<h2>Robots</h2>",
         _robots_table(recording, result.analysis),
         _silent_table(recording),
-        oracle_section.section(recording, found),
+        html.section(recording, found),
         links.section(recording, found, pictures.get(links.NAME)),
         "<h2>Forces and timing</h2>" if {"forces", "timing"} & set(pictures) else "",
         _figures(pictures, "forces", "timing"),
