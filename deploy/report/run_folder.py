@@ -27,7 +27,7 @@ from handfast.deploy.recording.run_files import (
     RECORDING_FILE,
     RecordingError,
 )
-from handfast.deploy.report.events_file import write_events
+from handfast.deploy.report.whole_file import write_events
 from handfast.deploy.verdict import metrics
 from handfast.deploy.verdict.run_result import RunResult
 

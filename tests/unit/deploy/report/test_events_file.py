@@ -12,7 +12,7 @@ from handfast.agent.messages.types import StatusText, Stop
 from handfast.deploy.playback import marks
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.recording.run_files import RecordingError
-from handfast.deploy.report.events_file import write_events
+from handfast.deploy.report.whole_file import write_events
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages
