@@ -13,8 +13,6 @@ from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis, norm
 from handfast.deploy.analysis.stability import SETTLED
 from handfast.deploy.report.drawing.fault_strip import time_axes
-from handfast.deploy.report.drawing.labels import EndLabel, label_ends
-from handfast.deploy.report.drawing.layout import GridLayout
 from handfast.deploy.report.drawing.plotting import (
     DOTTED,
     GREY,
@@ -29,6 +27,7 @@ from handfast.deploy.report.drawing.plotting import (
     nth_marked,
     nth_marker,
 )
+from handfast.deploy.report.layout import EndLabel, GridLayout, label_ends
 from handfast.deploy.verdict.run_result import RunResult
 
 NEAR: Final = 1.5

@@ -18,8 +18,6 @@ from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.analysis.silence import SilentBody, bodies_of
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.report.drawing.labels import POINTS_PER_INCH, Boxes, along, beside, text_size
-from handfast.deploy.report.drawing.layout import GridLayout
 from handfast.deploy.report.drawing.plotting import (
     DASHED,
     DOTTED,
@@ -36,6 +34,7 @@ from handfast.deploy.report.drawing.plotting import (
     top_of,
     view,
 )
+from handfast.deploy.report.layout import POINTS_PER_INCH, Boxes, GridLayout, along, beside, text_size
 from handfast.deploy.verdict.run_result import RunResult
 
 HALF_CORNERS: Final = 24
