@@ -127,7 +127,7 @@ class Sweep:
         Raises:
             Error: nothing is varied, there is no such quantity, or matplotlib is not installed.
         """
-        from handfast.deploy.report.drawing.plotting import styled
+        from handfast.deploy.report.plotting import styled
         from handfast.deploy.sweep.figures import drawings
 
         if not self.fields:

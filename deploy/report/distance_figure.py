@@ -13,7 +13,8 @@ from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis, norm
 from handfast.deploy.analysis.stability import SETTLED
 from handfast.deploy.report.drawing.fault_strip import time_axes
-from handfast.deploy.report.drawing.plotting import (
+from handfast.deploy.report.layout import EndLabel, GridLayout, label_ends
+from handfast.deploy.report.plotting import (
     DOTTED,
     GREY,
     INK,
@@ -27,7 +28,6 @@ from handfast.deploy.report.drawing.plotting import (
     nth_marked,
     nth_marker,
 )
-from handfast.deploy.report.layout import EndLabel, GridLayout, label_ends
 from handfast.deploy.verdict.run_result import RunResult
 
 NEAR: Final = 1.5

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from handfast.deploy.console.arguments import FIGURE_FORMATS
 from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report import distance_figure, force_figure, links, timing_figure
-from handfast.deploy.report.drawing.plotting import styled, write
-from handfast.deploy.report.drawing.side_by_side import side_by_side
+from handfast.deploy.report.plotting import side_by_side, styled, write
 from handfast.deploy.report.trajectory_figure import trajectories
 from handfast.deploy.verdict.run_result import RunResult
 

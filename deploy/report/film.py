@@ -26,7 +26,8 @@ from handfast.deploy.analysis.stability import SETTLED
 from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
 from handfast.deploy.playback.series import nearest
 from handfast.deploy.recording.run_files import RecordingError
-from handfast.deploy.report.drawing.plotting import (
+from handfast.deploy.report.export import FILMS
+from handfast.deploy.report.plotting import (
     DASHED,
     GREY,
     INK,
@@ -37,7 +38,6 @@ from handfast.deploy.report.drawing.plotting import (
     styled,
     view,
 )
-from handfast.deploy.report.export import FILMS
 from handfast.deploy.report.whole_file import whole_file
 from handfast.deploy.verdict.run_result import RunResult
 

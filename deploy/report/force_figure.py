@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from handfast.agent.formation.points import Floats
-from handfast.deploy.report.drawing.plotting import LEGEND_MAX, draw_many, new_figure, note, nth_marked
 from handfast.deploy.report.layout import GridLayout
+from handfast.deploy.report.plotting import LEGEND_MAX, draw_many, new_figure, note, nth_marked
 from handfast.deploy.verdict.run_result import RunResult
 
 Series = tuple[Floats, Floats]

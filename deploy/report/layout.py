@@ -19,7 +19,7 @@ from matplotlib.layout_engine import LayoutEngine
 from matplotlib.transforms import Bbox
 
 from handfast.agent.formation.points import Floats
-from handfast.deploy.report.drawing.plotting import GREY, INK
+from handfast.deploy.report.plotting import GREY, INK
 
 POINTS_PER_INCH: Final = 72.0
 FONT_SIZE: Final = 8.0

@@ -19,9 +19,9 @@ from handfast.agent.formation.points import Floats
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.report.drawing.fault_strip import time_axes
-from handfast.deploy.report.drawing.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
 from handfast.deploy.report.html import figure, shown, table
 from handfast.deploy.report.layout import EndLabel, GridLayout, label_ends
+from handfast.deploy.report.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
 from handfast.deploy.verdict.link_metrics import Ages, ages
 from handfast.deploy.verdict.run_result import RunResult
 

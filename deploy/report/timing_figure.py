@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from handfast.agent.formation.points import Floats
-from handfast.deploy.report.drawing.plotting import GREY, INK, PALETTE, new_figure, note
 from handfast.deploy.report.layout import GridLayout
+from handfast.deploy.report.plotting import GREY, INK, PALETTE, new_figure, note
 from handfast.deploy.verdict.run_result import RunResult
 
 

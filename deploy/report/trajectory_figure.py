@@ -18,7 +18,8 @@ from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.analysis.silence import SilentBody, bodies_of
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.report.drawing.plotting import (
+from handfast.deploy.report.layout import POINTS_PER_INCH, Boxes, GridLayout, along, beside, text_size
+from handfast.deploy.report.plotting import (
     DASHED,
     DOTTED,
     GREY,
@@ -34,7 +35,6 @@ from handfast.deploy.report.drawing.plotting import (
     top_of,
     view,
 )
-from handfast.deploy.report.layout import POINTS_PER_INCH, Boxes, GridLayout, along, beside, text_size
 from handfast.deploy.verdict.run_result import RunResult
 
 HALF_CORNERS: Final = 24

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from handfast.agent.formation.points import Floats
-from handfast.deploy.report.drawing.plotting import INK, PALETTE, RED, new_figure, write
+from handfast.deploy.report.plotting import INK, PALETTE, RED, new_figure, write
 from handfast.deploy.sweep.plan import Plan
 from handfast.deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
 from handfast.deploy.sweep.varied import Axis

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from handfast.deploy.faults.process_actions import WORDS
 from handfast.deploy.faults.rules import Lane, lanes
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.report.drawing.plotting import GREY, INK, PALETTE, RED
+from handfast.deploy.report.plotting import GREY, INK, PALETTE, RED
 
 LANES_MAX: Final = 9
 """Rules with a bar of their own; further ones share the last."""

@@ -12,8 +12,8 @@ from handfast.agent.messages import key_expressions
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report import figures, report
-from handfast.deploy.report.drawing.plotting import new_figure
 from handfast.deploy.report.figures import remove_figures, write_figures
+from handfast.deploy.report.plotting import new_figure
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import result_of
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages

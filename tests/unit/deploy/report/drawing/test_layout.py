@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from handfast.deploy.report import figures
-from handfast.deploy.report.drawing.plotting import styled
+from handfast.deploy.report.plotting import styled
 from tests.unit.deploy.playback.runs import result_of
 from tests.unit.deploy.synthetic_run import make_fleet, triangle
 

@@ -10,7 +10,7 @@ from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
 from handfast.agent.control.boundaries import Circle, Polygon
-from handfast.deploy.report.drawing.plotting import (
+from handfast.deploy.report.plotting import (
     Picture,
     draw_boundary,
     new_figure,

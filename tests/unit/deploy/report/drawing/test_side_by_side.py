@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from handfast.deploy.report.drawing import side_by_side as module
-from handfast.deploy.report.drawing.side_by_side import side_by_side
+from handfast.deploy.report.plotting import side_by_side
 
 TIMEOUT_S = 60.0
 
