@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis, norm
 from handfast.deploy.analysis.stability import SETTLED
-from handfast.deploy.report.drawing.fault_strip import time_axes
+from handfast.deploy.report.fault_strip import time_axes
 from handfast.deploy.report.layout import EndLabel, GridLayout, label_ends
 from handfast.deploy.report.plotting import (
     DOTTED,

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from handfast.agent.formation.points import Floats
 from handfast.agent.supervision.state_machine import State
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.report.drawing.fault_strip import time_axes
+from handfast.deploy.report.fault_strip import time_axes
 from handfast.deploy.report.html import figure, shown, table
 from handfast.deploy.report.layout import EndLabel, GridLayout, label_ends
 from handfast.deploy.report.plotting import GREY, PALETTE, RED, new_figure, note, nth_marked
