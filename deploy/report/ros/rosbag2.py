@@ -22,7 +22,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from handfast.agent.runtime.version import handfast_version
 from handfast.deploy.recording.run_files import RecordingError
-from handfast.deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
+from handfast.deploy.report.ros_messages import LATCHED, LOG, STORE, VOLATILE, Stream, streams
 from handfast.deploy.report.whole_file import uninterrupted
 from handfast.deploy.verdict.run_result import RunResult
 

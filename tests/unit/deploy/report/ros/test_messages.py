@@ -12,7 +12,7 @@ import pytest
 
 from handfast.agent.messages.types import Event, Message, Status, Stop
 from handfast.deploy.recording.recording import Recording
-from handfast.deploy.report.ros.messages import LATCHED, LOG, STORE, VOLATILE, Ints, Stream, streams
+from handfast.deploy.report.ros_messages import LATCHED, LOG, STORE, VOLATILE, Ints, Stream, streams
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import recorded
 from tests.unit.deploy.synthetic_run import (

@@ -1,8 +1,7 @@
 """A run as messages of ROS 2: its topics, types and frames, and their bytes (CDR).
 
 The map is the world: x east, y north (ENU, REP 103). Frames are named by REP 105; a robot's are
-`robot_N/base_link`, x ahead (FLU), and `robot_N/hand`, its hand point.
-"""
+`robot_N/base_link`, x ahead (FLU), and `robot_N/hand`, its hand point."""
 
 from __future__ import annotations
 
