@@ -187,7 +187,7 @@ def _statuses(parts: Sequence[tuple[int, StatusTable]]) -> Columns:
 
 def _bag_writer() -> Writer:
     with packages_named(f"--format {BAG}"):
-        from handfast.deploy.report.ros.rosbag2 import write_bag
+        from handfast.deploy.report.rosbag2 import write_bag
 
     def write(result: RunResult, target: Path) -> list[Path]:
         write_bag(result, target / BAG)

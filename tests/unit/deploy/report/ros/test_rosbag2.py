@@ -20,8 +20,8 @@ from handfast.deploy import cli
 from handfast.deploy.recording.mcap_reader import read_run
 from handfast.deploy.recording.recorder import Recorder
 from handfast.deploy.recording.run_files import RecordingError
+from handfast.deploy.report import rosbag2
 from handfast.deploy.report.export import export
-from handfast.deploy.report.ros import rosbag2
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
