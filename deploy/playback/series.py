@@ -40,7 +40,7 @@ def series(result: RunResult) -> dict[str, Any]:
         "tracking": _numbers(_greatest(_most(tracking), starts)),
         "edges": [],
     }
-    for name, (times, values) in _of_statuses(result).items():
+    for name, (times, values) in _times_of_statuses(result).items():
         found[name] = _numbers(_binned(times, values, analysis.grid[starts]))
     if analysis.edges.shape[0] <= EDGES_MAX:
         found["edges"] = [
@@ -62,7 +62,7 @@ def nearest(analysis: Analysis) -> Floats:
     return np.where(np.isinf(found), np.nan, found)
 
 
-def _of_statuses(result: RunResult) -> Mapping[str, tuple[Floats, Floats]]:
+def _times_of_statuses(result: RunResult) -> Mapping[str, tuple[Floats, Floats]]:
     """The longest tick (us) and the greatest age (ms) of each status of any robot, with its time."""
     statuses = [data.status for data in result.recording.robots.values()]
     times = np.concatenate([each.t for each in statuses])
