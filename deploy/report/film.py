@@ -24,7 +24,7 @@ from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacl
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.stability import SETTLED
 from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
-from handfast.deploy.playback.series import nearest
+from handfast.deploy.playback.scene import nearest
 from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report.export import FILMS
 from handfast.deploy.report.plotting import (

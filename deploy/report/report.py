@@ -21,8 +21,7 @@ from handfast.deploy.analysis.rounding import largest, number, percentile
 from handfast.deploy.console.wording import robots
 from handfast.deploy.faults.rules import lanes
 from handfast.deploy.playback.page import embedded
-from handfast.deploy.playback.scene import scene
-from handfast.deploy.playback.track import Track
+from handfast.deploy.playback.scene import Track, scene
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
 from handfast.deploy.report import figures, html, links

@@ -17,7 +17,7 @@ from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.stability import SETTLED
 from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
 from handfast.deploy.playback.marks import FAULT, ORDER, STATE, VIOLATION, marks
-from handfast.deploy.playback.series import nearest
+from handfast.deploy.playback.scene import nearest
 from handfast.deploy.recording.recording import RobotData
 from handfast.deploy.recording.tables import StatusTable, Table
 from handfast.deploy.verdict.run_result import RunResult

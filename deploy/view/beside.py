@@ -15,8 +15,7 @@ from typing import Final
 from handfast.agent.messages.types import Message
 from handfast.deploy.console.data_files import handfast
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.playback.scene import scene
-from handfast.deploy.playback.track import Track
+from handfast.deploy.playback.scene import Track, scene
 from handfast.deploy.verdict.run_result import RunResult
 from handfast.deploy.view.server import Content, page_files
 

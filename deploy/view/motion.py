@@ -12,7 +12,7 @@ from handfast.agent.formation.points import Floats
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import HandState, Message, PlantState, Status
 from handfast.deploy.drive.watch import Watch
-from handfast.deploy.playback.track import COLUMNS
+from handfast.deploy.playback.scene import COLUMNS
 
 _AT: Final = {name: index for index, name in enumerate(COLUMNS)}
 _FORCES: Final = _AT["navigation_x"]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 
 from handfast.deploy.playback.page import asset
-from handfast.deploy.playback.scene import FORMAT, ground, scene
-from handfast.deploy.playback.track import COLUMNS, Track
+from handfast.deploy.playback.scene import COLUMNS, FORMAT, Track, ground, scene
 from handfast.deploy.recording.collector import RunData
 from handfast.deploy.verdict.run_result import RunResult
 from tests.unit.deploy.playback.runs import FLEET, result_of

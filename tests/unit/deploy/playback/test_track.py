@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handfast.deploy.playback import track as module
-from handfast.deploy.playback.track import COLUMNS, Track
+from handfast.deploy.playback.scene import COLUMNS, Track
 from tests.unit.deploy.playback.runs import FLEET, result_of
 
 COUNT = len(FLEET.robots)

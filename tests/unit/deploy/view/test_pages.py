@@ -14,7 +14,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from handfast.deploy.playback.track import COLUMNS
+from handfast.deploy.playback.scene import COLUMNS
 from handfast.deploy.view.live_fleet import FORCE_COLUMNS, HEAD, HISTORY_COLUMNS
 from handfast.deploy.view.pages import AHEAD, FULL, PAGES_MAX, REFUSED, Pages
 from handfast.deploy.view.server import MESSAGE_BYTES_MAX, TALK_PATH, Content, Server

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from handfast.deploy.playback.page import MODULES, served
-from handfast.deploy.playback.track import Track
+from handfast.deploy.playback.scene import Track
 from handfast.deploy.view.beside import answers
 from tests.unit.deploy.playback.runs import result_of
 
