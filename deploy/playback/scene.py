@@ -19,8 +19,7 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.analysis import Analysis, norm
 from handfast.deploy.analysis.stability import SETTLED
-from handfast.deploy.playback.looks import LOOKS
-from handfast.deploy.playback.marks import marks
+from handfast.deploy.playback.marks import LOOKS, marks
 from handfast.deploy.recording.tables import StatusTable
 from handfast.deploy.verdict.run_result import RunResult
 

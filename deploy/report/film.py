@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.stability import SETTLED
-from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
+from handfast.deploy.playback.marks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
 from handfast.deploy.playback.scene import nearest
 from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.report.export import FILMS

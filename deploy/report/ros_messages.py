@@ -15,8 +15,19 @@ from rosbags.typesys import Stores, get_typestore
 
 from handfast.agent.formation.points import Floats
 from handfast.deploy.analysis.stability import SETTLED
-from handfast.deploy.playback.looks import DRIVES, FAILED, LOOKS, RESTS, TROUBLED, UNREADY
-from handfast.deploy.playback.marks import FAULT, ORDER, STATE, VIOLATION, marks
+from handfast.deploy.playback.marks import (
+    DRIVES,
+    FAILED,
+    FAULT,
+    LOOKS,
+    ORDER,
+    RESTS,
+    STATE,
+    TROUBLED,
+    UNREADY,
+    VIOLATION,
+    marks,
+)
 from handfast.deploy.playback.scene import nearest
 from handfast.deploy.recording.recording import RobotData
 from handfast.deploy.recording.tables import StatusTable, Table

@@ -21,8 +21,7 @@ from handfast.deploy.drive.attached import Attached
 from handfast.deploy.drive.fleet_state import FleetState
 from handfast.deploy.drive.preconditions import clock, why
 from handfast.deploy.drive.watch import Picture, fleet_time_s
-from handfast.deploy.playback.looks import SILENT
-from handfast.deploy.playback.marks import FAULT, VIOLATION, Mark
+from handfast.deploy.playback.marks import FAULT, SILENT, VIOLATION, Mark
 from handfast.deploy.playback.scene import COLUMNS, ground
 from handfast.deploy.session.session import valid
 from handfast.deploy.view.motion import Motion

@@ -13,7 +13,7 @@ import pytest
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import Message, PlantState, Stop
-from handfast.deploy.playback.looks import LOOKS, SILENT
+from handfast.deploy.playback.marks import LOOKS, SILENT
 from handfast.deploy.playback.scene import COLUMNS
 from handfast.deploy.view.live_fleet import (
     FORCE_COLUMNS,
