@@ -1,6 +1,12 @@
 """The tables of a fleet file about hosts, network and recording, and what can be wrong in them (PURE).
 
 Robots need not agree on these.
+
+Which routers a fleet has, and where (PURE).
+
+The table of a fleet file about how a robot's processes run on their computer (PURE).
+
+Robots need not agree on it.
 """
 
 from __future__ import annotations
@@ -8,11 +14,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 from handfast.agent.common.reader import Reader
 from handfast.agent.common.settings import about, setting
 from handfast.agent.common.wording import show
+from handfast.agent.fleet.sections import Robot
 from handfast.agent.security.identity import MAIN, IdentityError, of_operator
 
 PORT_MIN: Final = 1024
@@ -269,3 +276,81 @@ def _check_routers(
                 place,
                 f"port {found[2]} must be at most {PORT_MAX}: Linux gives those above to outgoing links",
             )
+
+
+ROUTERS_CHOSEN: Final = 2
+"""So many routers a fleet on hosts has whose file names none: where the host of one is lost, one is left."""
+
+
+class RouterPlace(NamedTuple):
+    """One router.
+
+    Attributes:
+        number: from 1, in the order in which robots try them.
+        where: ``HOST:PORT`` at which all others reach it.
+        listens: ``HOST:PORT`` on which it listens.
+        host: name of the fleet's host on which `handfast up` starts it; None where others see to it.
+    """
+
+    number: int
+    where: str
+    listens: str
+    host: str | None
+
+    @property
+    def identity_name(self) -> str:
+        """Its name in its certificate: each host makes a key of its own."""
+        return MAIN if self.host is None else str(self.number)
+
+
+def router_hosts(network: NetworkSection, robots: Sequence[Robot]) -> tuple[str, ...]:
+    """Names of the hosts on which routers run, in the order in which robots try them, of a fleet that is
+    routed: those that the file names; where it names no router at all, the first hosts that have robots."""
+    if network.routers:
+        return tuple(router for router in network.routers if names_host(router))
+    used = dict.fromkeys(robot.host for robot in robots if robot.host is not None)
+    return tuple(used)[:ROUTERS_CHOSEN]
+
+
+def routers_of(
+    network: NetworkSection, hosts: Sequence[HostSection], robots: Sequence[Robot]
+) -> tuple[RouterPlace, ...]:
+    """The routers of a fleet that is routed. None where the file names none and no robot has a host: then
+    who runs the whole fleet starts some, and writes down which."""
+    port, sections = network.base_port + 2 * len(robots), {host.name: host for host in hosts}
+    found = []
+    for number, each in enumerate(network.routers or router_hosts(network, robots), 1):
+        if names_host(each):
+            host = sections[each]
+            address = host.address or host.name
+            found.append(RouterPlace(number, f"{address}:{port}", f"{host.listen or address}:{port}", each))
+        else:
+            found.append(RouterPlace(number, each, each, None))
+    return tuple(found)
+
+
+LINKS_PRIORITY: Final = 40
+"""SCHED_FIFO priority of the threads that carry messages. The kernel's own threads that serve interrupts have
+50 (PREEMPT_RT)."""
+PRIORITIES: Final = {"agent": LINKS_PRIORITY + 1, "plant": LINKS_PRIORITY + 2}
+"""SCHED_FIFO priority of a process's own loop. A plant is above its agent, since it brakes where that is
+late."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessSection:
+    """``[process]``: how agents, plants and bridges run on their computers."""
+
+    realtime: bool = setting(
+        False,
+        "Agents, plants and bridges run before everything else on their computer: under SCHED_FIFO, with "
+        "their memory locked (Linux). What a computer refuses is said, and they run on without it "
+        "(docs/operating.md).",
+    )
+    cpus: tuple[int, ...] = setting(
+        (),
+        "`realtime`: cores on which they run, by the kernel's numbers. Left out: all that there are.",
+        ge=0,
+        le=1023,
+        example="[2, 3]",
+    )

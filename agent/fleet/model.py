@@ -25,11 +25,12 @@ from handfast.agent.fleet.hosts import (
     MESH_ROBOTS_MAX,
     HostSection,
     NetworkSection,
+    ProcessSection,
     RecordingSection,
+    RouterPlace,
+    routers_of,
 )
 from handfast.agent.fleet.orders import OrderSection
-from handfast.agent.fleet.process_section import ProcessSection
-from handfast.agent.fleet.routers import RouterPlace, routers_of
 from handfast.agent.fleet.safety import (
     BEACON_HORIZONS,
     BEACON_HZ,

@@ -28,7 +28,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from handfast.agent.fleet.process_section import LINKS_PRIORITY, PRIORITIES, ProcessSection
+from handfast.agent.fleet.hosts import LINKS_PRIORITY, PRIORITIES, ProcessSection
 from handfast.agent.runtime.realtime_granted import (
     CAP_IPC_LOCK,
     KILLED_S,

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from handfast.agent.fleet.process_section import PRIORITIES, ProcessSection
+from handfast.agent.fleet.hosts import PRIORITIES, ProcessSection
 
 PRIORITY_MAX: Final = 99
 SCHED_FIFO: Final = 1

@@ -14,8 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.runtime.realtime_granted import (
     KILLED_S,

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from handfast.agent.common.errors import BAD_INPUT
-from handfast.agent.fleet.hosts import HostSection
+from handfast.agent.fleet.hosts import PRIORITIES, HostSection
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.process_section import PRIORITIES
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.security.identity import of_robot, of_router
 from handfast.deploy.processes.child import ONE_THREAD

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import tomli_w
 
+from handfast.agent.fleet.hosts import LINKS_PRIORITY, PRIORITIES
 from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
 from handfast.agent.fleet.model import Fleet, FleetError
-from handfast.agent.fleet.process_section import LINKS_PRIORITY, PRIORITIES
 from tests.unit.agent.fleet.test_hosts import FLEET
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from handfast.agent.fleet.hosts import RouterPlace
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.routers import RouterPlace
 from handfast.deploy.processes.placement import place
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, ROUTERS, fleet, large
 

@@ -19,7 +19,7 @@ from tests.realtime_here import need_realtime, without
 ASKS = [sys.executable, "-P", "-m", "handfast.agent.runtime.realtime"]
 BEGIN = """
 import os, subprocess, sys, threading, time
-from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.runtime.realtime import RealTime
 def policy(thread):
     return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(thread).sched_priority

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from handfast.agent.fleet.process_section import ProcessSection
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.runtime.realtime_granted import (
     Granted,
     from_json,

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.check.capacity import (

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.loading import load_fleet
-from handfast.agent.fleet.process_section import ProcessSection
 from handfast.deploy.check.realtime import check_cores, check_realtime
 from handfast.deploy.console.data_files import FLEETS
 

@@ -9,9 +9,9 @@ from typing import cast
 
 import pytest
 
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.runtime.realtime_granted import SCHED_FIFO, Granted, Thread
 from handfast.deploy.cli import main
 from handfast.deploy.console.data_files import FLEETS

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.deploy.hosts import remote_program, systemd_units
 from handfast.deploy.hosts.systemd_units import Needs, Places, filters, namespaces, roles, unit

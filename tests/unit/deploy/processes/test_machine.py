@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.loading import load_fleet, parse_fleet
-from handfast.agent.fleet.process_section import ProcessSection
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.check.capacity import FULL, Machine, cost_of, used
