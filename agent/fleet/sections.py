@@ -16,7 +16,7 @@ from handfast.agent.common.quantities import FAR_M, Vector
 from handfast.agent.common.settings import Sectioned, Sections, T, about, setting
 from handfast.agent.common.wording import show
 from handfast.agent.fleet import plants
-from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
+from handfast.agent.fleet.plants import SIMULATOR, MavlinkSection
 
 SEND_PERIODS: Final = 12
 """Maximum number of periods between two hand states of a robot that sends them at events."""

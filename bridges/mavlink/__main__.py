@@ -14,8 +14,8 @@ from functools import partial
 from typing import Final
 
 from handfast.agent.common.time import Clock
-from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import SIMULATOR, MavlinkSection
 from handfast.agent.runtime.loop import Log
 from handfast.agent.runtime.process import StartError
 from handfast.bridges.mavlink.session.identity import SigningError, open_signing

@@ -16,8 +16,8 @@ from handfast.agent.control.limits import (
 )
 from handfast.agent.control.peers.beliefs import said_doubt
 from handfast.agent.control.peers.lateness import UNSURE_NS
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import Robot
 from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry

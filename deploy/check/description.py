@@ -12,8 +12,8 @@ from handfast.agent.common.models import plain
 from handfast.agent.common.wording import show
 from handfast.agent.control.boundaries import obstacles_of
 from handfast.agent.control.limits import clearance, sensing_distance, speed_share, steps, why_not
-from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import SIMULATOR, MavlinkSection
 from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry, resolve, start_hands
 from handfast.agent.formation.trajectory import make_trajectory

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 from handfast.agent.control.limits import acceleration_max, speed_max
 from handfast.agent.control.peers.rolling import STOPS_S, room_to_know
-from handfast.agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import SIMULATOR, MavlinkSection
 from handfast.agent.fleet.sections import Robot
 from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry

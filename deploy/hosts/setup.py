@@ -13,8 +13,8 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.hosts import HostSection
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.deploy.hosts import remote_vehicle, systemd_units
 from handfast.deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for

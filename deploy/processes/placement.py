@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 
 from handfast.agent.common.errors import Error
 from handfast.agent.fleet.hosts import PORT_MAX, NetworkSection
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import Robot
 from handfast.agent.runtime.order_store import NotPrivateError, private_folder
 

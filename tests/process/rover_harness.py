@@ -15,8 +15,8 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.fleet.loading import parse_fleet
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.formation.geometry import resolved
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import encode

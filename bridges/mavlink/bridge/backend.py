@@ -10,8 +10,8 @@ from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Pose
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.runtime.loop import Log
 from handfast.agent.supervision.orders import AWAITED
 from handfast.agent.supervision.state_machine import at_rest

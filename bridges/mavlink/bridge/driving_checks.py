@@ -12,7 +12,7 @@ from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Pose
-from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from handfast.bridges.mavlink.session.reports import Ekf

@@ -12,7 +12,7 @@ from math import degrees
 from typing import Final, NamedTuple
 
 from handfast.agent.control.hand import Pose
-from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.bridges.mavlink.ardupilot import constants, steering
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic
 from handfast.bridges.mavlink.bridge import driving_checks

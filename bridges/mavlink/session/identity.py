@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.security import private_files
 from handfast.agent.security.private_files import KeyFileError
 from handfast.bridges.mavlink.ardupilot import constants

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from math import isfinite, radians
 from typing import Final, Literal
 
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import Robot
 from handfast.bridges.mavlink.ardupilot import constants, steering
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, datum_of, world_to_geodetic, yaw_from_heading

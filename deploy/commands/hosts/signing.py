@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from handfast.agent.common.errors import FAILED, INTERRUPTED, PASSED
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import Robot
 from handfast.deploy.console.arguments import (
     InputError,

@@ -7,8 +7,8 @@ import sys
 from contextlib import suppress
 
 from handfast.agent.common.errors import FAILED
-from handfast.agent.fleet.mavlink_section import SHARED_LINKS, MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import SHARED_LINKS, MavlinkSection
 from handfast.deploy.console.arguments import (
     InputError,
     drive_arguments,

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 
 from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
-from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import DatumSection
 from tests.unit.agent.fleet.fleet_texts import DATUM, MIXED, ROVERS, problems, small
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.bridges.mavlink.ardupilot import frames
 from handfast.bridges.mavlink.bridge import preflight_checks
 from handfast.bridges.mavlink.bridge.preflight_checks import BridgeState, Look

@@ -9,8 +9,8 @@ import pytest
 import tomli_w
 
 from handfast.agent.fleet.loading import load_fleet, parse_fleet, to_dict
-from handfast.agent.fleet.mavlink_section import MavlinkSection
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from handfast.bridges.mavlink.simulator.settings import parse_home
 from handfast.deploy.console.data_files import FLEETS

@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from handfast.agent.common.time import NS_PER_S
-from handfast.agent.fleet.mavlink_section import MavlinkSection
+from handfast.agent.fleet.plants import MavlinkSection
 from handfast.bridges.mavlink.bridge.signing_setup import (
     CONFIRM_NS,
     GIVE_MAX,
