@@ -3,6 +3,10 @@
 `parse_fleet` turns the text, with what the command line sets over it, into a `Fleet`, or raises one
 `FleetError` with every problem of the file, each with its place. `digest` says whether two are the same.
 PURE but for `load_fleet`, which reads the file that it is given.
+
+Files of faults or of orders: some tables of a fleet file, and nothing else (PURE).
+
+The text of live faults, and orders that are given by hand, are read as such files are.
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
@@ -18,21 +23,71 @@ from typing import Any, Final
 from handfast.agent.common.models import ModelError, build, plain
 from handfast.agent.common.plugins import PluginError
 from handfast.agent.common.reader import Problem, Reader
+from handfast.agent.common.settings import about
 from handfast.agent.common.wording import printable, show
 from handfast.agent.fleet import plants
 from handfast.agent.fleet.checks import check_fleet
+from handfast.agent.fleet.fault_checks import check_faults
+from handfast.agent.fleet.fault_rules import FaultsSection
 from handfast.agent.fleet.model import Fleet, FleetError
-from handfast.agent.fleet.orders import ORDER_FIELDS
+from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection, check_orders
 from handfast.agent.fleet.plugin_tables import NAMES_A_PLUGIN, complete, read_plugins
-from handfast.agent.fleet.scenario import ScenarioError, parse_scenario, read_orders
-from handfast.agent.fleet.sections import (
-    LAWS,
-    REPLACED,
-    TRAJECTORY_FIELDS,
-    ControlSection,
-    load_law,
-)
+from handfast.agent.fleet.sections import LAWS, REPLACED, TRAJECTORY_FIELDS, ControlSection, load_law
 from handfast.agent.fleet.trajectory_checks import kinds_by_field
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A file of faults, or the text of live ones: the tables of a fleet file, and nothing else."""
+
+    faults: FaultsSection = field(default_factory=FaultsSection, metadata=about("Faults."))
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; `problems` as a fleet file's."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(map(str, self.problems)))
+
+
+def parse_scenario(text: str, ids: Sequence[int]) -> FaultsSection:
+    """The faults in a TOML text, for a fleet of the robots `ids`.
+
+    Raises:
+        ScenarioError: with every problem of the text.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError([Problem("", f"not valid TOML: {show(str(error), 200)[1:-1]}")]) from None
+    reader = Reader(Scenario, REPLACED)
+    values = reader.read(raw)
+    check_faults(values.get("faults", {}), ids, reader)
+    if reader.problems:
+        raise ScenarioError(reader.problems)
+    return build(Scenario, values).faults
+
+
+@dataclass(frozen=True, slots=True)
+class _Orders:
+    orders: tuple[OrderSection, ...] = field(default=(), metadata=about("Orders.", key="order"))
+
+
+def read_orders(raw: Mapping[str, Any], ids: Sequence[int]) -> tuple[OrderSection, ...]:
+    """The orders in these tables, for a fleet of the robots `ids`.
+
+    Raises:
+        handfast.agent.fleet.loading.ScenarioError: with every problem; something else than ``[[order]]`` is
+        one.
+    """
+    reader = Reader(_Orders)
+    values = reader.read(raw)
+    check_orders(values.get("orders", ()), raw, ids, reader)
+    if reader.problems:
+        raise ScenarioError(reader.problems)
+    return build(_Orders, values).orders
+
 
 FILE_BYTES_MAX: Final = 1 << 20
 """Largest fleet file, scenario or file of orders."""

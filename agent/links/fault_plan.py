@@ -18,8 +18,8 @@ from handfast.agent.fleet.fault_rules import (
     FaultsSection,
     Rule,
 )
+from handfast.agent.fleet.loading import ScenarioError, parse_scenario
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
 from handfast.agent.links.timed_rules import (
     FOREVER_NS,
     LinkRules,

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Final
 
-from handfast.agent.fleet.loading import digest, load_fleet
+from handfast.agent.fleet.loading import digest, load_fleet, parse_scenario
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.scenario import parse_scenario
 from handfast.agent.formation.mission_plan import trajectory_parts, written_plan
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Mission, Place

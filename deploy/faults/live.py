@@ -12,8 +12,8 @@ from handfast.agent.common.reader import Reader
 from handfast.agent.common.settings import Entry, entries
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
+from handfast.agent.fleet.loading import ScenarioError, parse_scenario
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
 from handfast.agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
 from handfast.agent.links.timed_rules import named
 from handfast.agent.messages import key_expressions

@@ -23,7 +23,7 @@ from handfast.agent.fleet.fault_rules import (
     Impairments,
     Rule,
 )
-from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
+from handfast.agent.fleet.loading import ScenarioError, parse_scenario
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.timed_rules import named
 from handfast.agent.messages.types import EVERY_AUTHOR, Faults

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from handfast.agent.common.reader import Problem, Reader
 from handfast.agent.common.settings import entries
+from handfast.agent.fleet.loading import ScenarioError, read_orders
 from handfast.agent.fleet.orders import OrderSection, ShapeSection
-from handfast.agent.fleet.scenario import ScenarioError, read_orders
 from handfast.agent.fleet.sections import TRAJECTORY_FIELDS
 from handfast.deploy.console.arguments import InputError
 

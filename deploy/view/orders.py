@@ -7,8 +7,8 @@ from typing import Any, Final, Protocol
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.common.wording import printable
+from handfast.agent.fleet.loading import ScenarioError, read_orders
 from handfast.agent.fleet.orders import OrderSection
-from handfast.agent.fleet.scenario import ScenarioError, read_orders
 from handfast.agent.messages.types import Ask, Message, Mission, Stop
 from handfast.deploy.console.wording import FEW
 from handfast.deploy.drive.fleet_state import FleetState

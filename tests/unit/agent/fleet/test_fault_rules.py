@@ -6,9 +6,8 @@ import pytest
 import tomli_w
 
 from handfast.agent.fleet.fault_targets import LinkSet, Partition
-from handfast.agent.fleet.loading import digest, parse_fleet, to_dict
+from handfast.agent.fleet.loading import ScenarioError, digest, parse_fleet, parse_scenario, to_dict
 from handfast.agent.fleet.model import FleetError
-from handfast.agent.fleet.scenario import ScenarioError, parse_scenario
 
 FLEET = """
 robot = [

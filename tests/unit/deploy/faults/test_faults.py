@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from handfast.agent.fleet.scenario import parse_scenario
+from handfast.agent.fleet.loading import parse_scenario
 from handfast.deploy.faults.process_actions import Action, actions
 from handfast.deploy.faults.rules import lanes
 from handfast.deploy.recording.collector import RunData

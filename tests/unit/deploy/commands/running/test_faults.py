@@ -11,8 +11,7 @@ import pytest
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.fault_rules import Rule
-from handfast.agent.fleet.loading import load_fleet
-from handfast.agent.fleet.scenario import parse_scenario
+from handfast.agent.fleet.loading import load_fleet, parse_scenario
 from handfast.agent.links.ingress import Ingress
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import Faults
