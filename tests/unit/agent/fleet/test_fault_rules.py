@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import tomli_w
 
-from handfast.agent.fleet.fault_targets import LinkSet, Partition
+from handfast.agent.fleet.fault_rules import LinkSet, Partition
 from handfast.agent.fleet.loading import ScenarioError, digest, parse_fleet, parse_scenario, to_dict
 from handfast.agent.fleet.model import FleetError
 

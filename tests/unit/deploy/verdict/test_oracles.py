@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.fleet.fault_rules import Effect, FaultsSection, Rule
-from handfast.agent.fleet.fault_targets import Partition
+from handfast.agent.fleet.fault_rules import Effect, FaultsSection, Partition, Rule
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection
