@@ -15,10 +15,9 @@ from handfast.agent.common.reader import Reader
 from handfast.agent.common.wording import show
 from handfast.agent.fleet.fault_checks import check_faults
 from handfast.agent.fleet.hosts import PORT_MAX, check_hosts, has_host_routers
-from handfast.agent.fleet.orders import check_orders
+from handfast.agent.fleet.orders import check_orders, check_trajectory
 from handfast.agent.fleet.plants import KINDS
 from handfast.agent.fleet.safety import check_safety
-from handfast.agent.fleet.trajectory_checks import check_trajectory
 from handfast.agent.messages.types import NEIGHBOURS_MAX
 
 

@@ -30,10 +30,9 @@ from handfast.agent.fleet.checks import check_fleet
 from handfast.agent.fleet.fault_checks import check_faults
 from handfast.agent.fleet.fault_rules import FaultsSection
 from handfast.agent.fleet.model import Fleet, FleetError
-from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection, check_orders
+from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection, check_orders, kinds_by_field
 from handfast.agent.fleet.plugin_tables import NAMES_A_PLUGIN, complete, read_plugins
 from handfast.agent.fleet.sections import LAWS, REPLACED, TRAJECTORY_FIELDS, ControlSection, load_law
-from handfast.agent.fleet.trajectory_checks import kinds_by_field
 
 
 @dataclass(frozen=True, slots=True)

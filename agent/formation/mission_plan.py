@@ -19,8 +19,8 @@ from handfast.agent.common.settings import about
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.common.wording import show
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.orders import check_trajectory
 from handfast.agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
-from handfast.agent.fleet.trajectory_checks import check_trajectory
 from handfast.agent.formation.trajectory import Sample, Trajectory, make_trajectory
 from handfast.agent.messages.types import NEIGHBOURS_MAX, Mission, Setting
 
