@@ -26,8 +26,14 @@ import numpy as np
 from handfast.agent.common.quantities import Vector
 from handfast.agent.fleet.model import Fleet, FormationError
 from handfast.agent.fleet.sections import Robot
-from handfast.agent.formation.assignment import assign_slots
-from handfast.agent.formation.points import Floats, Indices, best_turn, edge_lengths, square_distances
+from handfast.agent.formation.points import (
+    Floats,
+    Indices,
+    assign_slots,
+    best_turn,
+    edge_lengths,
+    square_distances,
+)
 from handfast.agent.formation.realisation import DISTANCE_TOLERANCE, Realisation, realise, worst_edge
 from handfast.agent.formation.trajectory import make_trajectory
 

@@ -16,13 +16,14 @@ from typing import Any, Final
 import numpy as np
 
 from handfast.agent.fleet.model import FormationError
-from handfast.agent.formation.graph import components, connected
 from handfast.agent.formation.points import (
     Floats,
     Indices,
     as_edges,
     as_places,
     best_turn,
+    components,
+    connected,
     distance_table,
     edge_lengths,
     pair_distances,

@@ -10,8 +10,8 @@ from handfast.agent.control.limits import speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.orders import OrderSection
 from handfast.agent.formation.geometry import Geometry
-from handfast.agent.formation.graph import components
 from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.formation.points import components
 from handfast.deploy.check.finding import Finding
 from handfast.deploy.console.wording import some
 from handfast.deploy.orders.blend_time import blend_ns_for, peaks_of

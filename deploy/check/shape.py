@@ -9,8 +9,7 @@ import numpy as np
 
 from handfast.agent.fleet.model import Fleet, FormationError
 from handfast.agent.formation.geometry import Geometry, edge_indices, given_distances, given_offsets
-from handfast.agent.formation.graph import components, connected
-from handfast.agent.formation.points import Floats, edge_lengths
+from handfast.agent.formation.points import Floats, components, connected, edge_lengths
 from handfast.agent.formation.realisation import DISTANCE_TOLERANCE
 from handfast.agent.formation.trajectory import make_trajectory
 from handfast.deploy.analysis.shapes import is_collinear, is_rigid, loose, rigidity_rank

@@ -22,7 +22,6 @@ from handfast.agent.fleet.loading import digest
 from handfast.agent.fleet.model import Fleet, FormationError
 from handfast.agent.fleet.orders import ORDER_FIELDS, OrderSection, ShapeSection
 from handfast.agent.fleet.sections import TrajectorySection
-from handfast.agent.formation.graph import components
 from handfast.agent.formation.mission_plan import (
     Edges,
     Plan,
@@ -31,6 +30,7 @@ from handfast.agent.formation.mission_plan import (
     trajectory_parts,
     written_plan,
 )
+from handfast.agent.formation.points import components
 from handfast.agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
 from handfast.agent.formation.trajectory import make_trajectory
 from handfast.agent.links.ticks import next_tick_ns

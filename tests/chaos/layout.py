@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from handfast.agent.common.quantities import Vector
-from handfast.agent.formation.assignment import assign_slots
+from handfast.agent.formation.points import assign_slots
 from handfast.deploy.analysis.shapes import edges as patch_edges
 from handfast.deploy.analysis.shapes import places as patch_places
 from tests.chaos.dice import Dice, Range, Tables

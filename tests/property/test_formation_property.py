@@ -16,9 +16,8 @@ from handfast.agent.fleet.sections import (
     Robot,
     TrajectorySection,
 )
-from handfast.agent.formation.assignment import assign_slots
 from handfast.agent.formation.geometry import resolve, resolved
-from handfast.agent.formation.points import edge_lengths
+from handfast.agent.formation.points import assign_slots, edge_lengths
 from handfast.agent.formation.realisation import DISTANCE_TOLERANCE, realise
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from handfast.agent.formation.assignment import assign_slots
+from handfast.agent.formation.points import assign_slots
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 20, 45])

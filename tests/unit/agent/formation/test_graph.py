@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from handfast.agent.formation.graph import components, connected
+from handfast.agent.formation.points import components, connected
 
 
 def test_components_and_connected():
