@@ -23,7 +23,7 @@ from handfast.agent.control.peers.rolling import rolls_of
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import SEND_BOUND_M
 from handfast.agent.formation.geometry import resolve
-from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
+from handfast.agent.formation.mission_plan import MissionChoice, MissionRefused
 from handfast.agent.links.ingress import Decode, Ingress
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import can_be, decode, encode

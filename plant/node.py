@@ -16,7 +16,7 @@ from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.fault_rules import SENSOR_FIELDS
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot
-from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
+from handfast.agent.formation.mission_plan import MissionChoice, MissionRefused
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.ingress import Ingress
 from handfast.agent.links.timed_rules import SensorFaults

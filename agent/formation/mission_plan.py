@@ -2,6 +2,10 @@
 
 A `Mission` came over the network and may be anything that its types allow; a `Plan` can be driven.
 Lengths in m, W; times in ns of the wall clock.
+
+Which mission holds for one who hears them in any order (PURE).
+
+Agents, plants and operators all decide here: whoever has heard the same missions follows the same one.
 """
 
 from __future__ import annotations
@@ -10,7 +14,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from handfast.agent.common.models import build
 from handfast.agent.common.quantities import FAR_M, Vector
@@ -18,14 +22,17 @@ from handfast.agent.common.reader import Reader
 from handfast.agent.common.settings import about
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.common.wording import show
+from handfast.agent.fleet.loading import digest
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.orders import check_trajectory
 from handfast.agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
 from handfast.agent.formation.trajectory import Sample, Trajectory, make_trajectory
+from handfast.agent.messages.codec import Mark, mark_of, newer
 from handfast.agent.messages.types import NEIGHBOURS_MAX, Mission, Setting
 
 if TYPE_CHECKING:
-    from handfast.agent.formation.geometry import Geometry  # numpy: plants do without
+    from handfast.agent.formation.geometry import Geometry
+
 
 Edges = dict[tuple[int, int], float]
 """Wanted distance (m) of each edge (i, j), i < j."""
@@ -253,3 +260,82 @@ def _section(given: Sequence[tuple[str, Any]]) -> TrajectorySection:
     if reader.problems:
         raise PlanError(f"the mission's {reader.problems[0]}")
     return build(TrajectorySection, values)
+
+
+class MissionRefused(ValueError):
+    """A mission that no robot of this fleet drives.
+
+    Attributes:
+        reason: ``digest``, it is for another fleet file; ``mission``, it cannot be driven.
+    """
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+class MissionChoice:
+    """The mission that holds: of those for this fleet file that can be driven the greatest by
+    `agent.messages.codec.newer`, whatever came before it.
+
+    Args:
+        fleet: whose missions they are.
+        geometry: `agent.formation.geometry.resolve` of `fleet`; None for a fleet that is resolved.
+
+    Attributes:
+        digest: of this fleet file.
+        mission, plan: the one that holds and what it means, None before the first.
+        mark: tells it from every other one, (0, 0) before the first.
+    """
+
+    _planned: ClassVar[tuple[Mission, Fleet, Plan] | None] = None
+    """The plan made last in this process, and of what: by identity, so that it is of nothing else."""
+
+    def __init__(self, fleet: Fleet, geometry: Geometry | None) -> None:
+        self._fleet, self._geometry = fleet, geometry
+        self.digest: Final = digest(fleet)
+        self.mission: Mission | None = None
+        self.plan: Plan | None = None
+        self.mark: Mark = (0, 0)
+
+    def is_ours(self, mission: Mission) -> bool:
+        """Whether it is for this fleet file."""
+        return mission.digest == self.digest
+
+    def mark_of(self, mission: Mission) -> Mark:
+        """Its mark. Most that come are the one that holds, as it is said until all have it."""
+        return self.mark if mission is self.mission else mark_of(mission)
+
+    def holds(self, mission: Mission) -> bool:
+        """Whether it is the one that holds."""
+        return self.mark_of(mission) == self.mark
+
+    def take(self, mission: Mission) -> Plan | None:
+        """Takes a mission; its plan if it holds from now on, None if the one before does.
+
+        Raises:
+            MissionRefused: nobody drives it.
+        """
+        if not newer(mission, self.mission) and self.is_ours(mission):
+            return None
+        if not self.is_ours(mission):
+            raise MissionRefused(
+                "digest",
+                f"the mission is for another fleet file: its digest is {mission.digest[:16]}, "
+                f"this agent's is {self.digest}",
+            )
+        plan = self._plan(mission)
+        self.mission, self.plan, self.mark = mission, plan, mark_of(mission)
+        return plan
+
+    def _plan(self, mission: Mission) -> Plan:
+        """Its plan: that which another robot of this process has made of the same message, if one has."""
+        planned = MissionChoice._planned
+        if planned is not None and planned[0] is mission and planned[1] is self._fleet:
+            return planned[2]
+        try:
+            plan = plan_of(mission, self._fleet, self._geometry)
+        except PlanError as error:
+            raise MissionRefused("mission", f"the mission cannot be driven: {error}") from None
+        MissionChoice._planned = mission, self._fleet, plan
+        return plan

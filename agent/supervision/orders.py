@@ -18,7 +18,7 @@ from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.formation.mission_choice import MissionChoice
+from handfast.agent.formation.mission_plan import MissionChoice
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import Mark, can_be, encode
 from handfast.agent.messages.trickle_timer import SequenceNumbers

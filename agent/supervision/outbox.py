@@ -11,7 +11,7 @@ from handfast.agent.control.event_trigger import EventTrigger
 from handfast.agent.control.hand import Hand
 from handfast.agent.control.peers.peers import Peers
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.formation.mission_choice import MissionChoice
+from handfast.agent.formation.mission_plan import MissionChoice
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import Mark, encode
 from handfast.agent.messages.trickle_timer import SequenceNumbers

@@ -13,8 +13,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.orders import OrderSection
 from handfast.agent.formation.geometry import Geometry
-from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
-from handfast.agent.formation.mission_plan import Plan
+from handfast.agent.formation.mission_plan import MissionChoice, MissionRefused, Plan
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import Mark, as_believed, can_be, encode
 from handfast.agent.messages.trickle_timer import SequenceNumbers

@@ -6,7 +6,7 @@ import pytest
 
 from handfast.agent.fleet.loading import digest
 from handfast.agent.formation.geometry import resolve, resolved
-from handfast.agent.formation.mission_choice import MissionChoice, MissionRefused
+from handfast.agent.formation.mission_plan import MissionChoice, MissionRefused
 from handfast.agent.messages.codec import decode, encode, tag
 from handfast.agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square

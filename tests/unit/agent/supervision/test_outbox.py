@@ -5,7 +5,7 @@ from __future__ import annotations
 from handfast.agent.control.controller import Controller
 from handfast.agent.control.hand import Hand
 from handfast.agent.formation.geometry import resolve
-from handfast.agent.formation.mission_choice import MissionChoice
+from handfast.agent.formation.mission_plan import MissionChoice
 from handfast.agent.messages.codec import decode
 from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Setpoint, Wrench
