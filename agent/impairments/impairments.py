@@ -31,8 +31,7 @@ from handfast.agent.common.quantities import (
 )
 from handfast.agent.common.random_streams import normal, uniform
 from handfast.agent.impairments import delay_distributions
-from handfast.agent.impairments.loss_models import Loss
-from handfast.agent.impairments.markov_chains import Chain, correlated, happens
+from handfast.agent.impairments.loss_models import Chain, Loss, correlated, happens
 from handfast.agent.impairments.range_model import Range
 
 __all__ = [

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from handfast.agent.common import random_streams
 from handfast.agent.common.quantities import UNITS, quantity, text
-from handfast.agent.impairments import delay_distributions, markov_chains
+from handfast.agent.impairments import delay_distributions, loss_models
 from handfast.agent.impairments.impairments import (
     Corrupt,
     Delay,
@@ -85,7 +85,7 @@ def fate(impairment: Any, stream: int, sequence: int) -> object:
 
 def forget() -> None:
     """As a process that has just begun."""
-    markov_chains._last.clear()
+    loss_models._last.clear()
     delay_distributions.score.cache_clear()
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from handfast.agent.common import random_streams
-from handfast.agent.impairments import markov_chains
+from handfast.agent.impairments import loss_models
 from handfast.agent.impairments.impairments import (
     Corrupt,
     Delay,
@@ -241,7 +241,7 @@ def test_path_loss_grows_with_distance_and_each_message_keeps_its_luck():
 
 
 def test_chains_read_their_rows_in_order():
-    three = markov_chains.chain(
+    three = loss_models.chain(
         (((1, 0.2), (2, 0.3), (0, 1.0)), ((0, 1.0),), ((2, 0.5), (1, 1.0))), (0.5, 0.25, 0.25)
     )
     assert three.edges == (0.2, 0.5)

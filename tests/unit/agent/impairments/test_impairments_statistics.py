@@ -14,7 +14,7 @@ import pytest
 from scipy import stats
 
 from handfast.agent.common import random_streams
-from handfast.agent.impairments import markov_chains
+from handfast.agent.impairments import loss_models
 from handfast.agent.impairments.delay_distributions import SHAPES
 from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
 
@@ -227,16 +227,16 @@ def test_every_n_th_is_exact(count: int):
 
 
 def test_each_state_follows_from_the_one_before_though_found_alone():
-    rows: tuple[markov_chains.Row, ...] = (
+    rows: tuple[loss_models.Row, ...] = (
         ((2, 0.05), (3, 0.02), (0, 1.0)),
         ((2, 0.4), (1, 1.0)),
         ((2, 0.5), (1, 0.3), (0, 1.0)),
         ((0, 1.0),),
     )
-    found = markov_chains.chain(rows, (0.25, 0.25, 0.25, 0.25))  # no share matters to a chain that forgets
+    found = loss_models.chain(rows, (0.25, 0.25, 0.25, 0.25))  # no share matters to a chain that forgets
     states = []
     for n in SEQUENCES[:3000]:
-        markov_chains._last.clear()
+        loss_models._last.clear()
         states.append(found.state(STREAM, n))
     for n, before, after in zip(SEQUENCES[1:3000], states, states[1:], strict=False):
         ends = np.cumsum([probability for _, probability in rows[before]])
