@@ -17,9 +17,8 @@ from handfast.agent.fleet.fault_rules import SENSOR_FIELDS
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.sections import Robot
 from handfast.agent.formation.mission_plan import MissionChoice, MissionRefused
-from handfast.agent.links.fault_plan import FaultPlan
+from handfast.agent.links.fault_plan import FaultPlan, SensorFaults
 from handfast.agent.links.ingress import Ingress
-from handfast.agent.links.timed_rules import SensorFaults
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import can_be, decode, encode
 from handfast.agent.messages.trickle_timer import SequenceNumbers

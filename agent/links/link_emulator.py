@@ -20,8 +20,7 @@ from handfast.agent.common import random_streams
 from handfast.agent.common.models import new
 from handfast.agent.common.time import NS_PER_S, LocalTime
 from handfast.agent.impairments.impairments import Delay, from_trace
-from handfast.agent.links.fault_plan import FaultPlan
-from handfast.agent.links.timed_rules import NONE, LinkEffects, LinkRules
+from handfast.agent.links.fault_plan import NONE, FaultPlan, LinkEffects, LinkRules
 from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import (
     CORRUPTED,

@@ -16,8 +16,7 @@ from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import start_hands
 from handfast.agent.impairments.impairments import Delay, Loss
-from handfast.agent.links.fault_plan import FaultPlan
-from handfast.agent.links.timed_rules import LinkEffects
+from handfast.agent.links.fault_plan import FaultPlan, LinkEffects
 from handfast.agent.messages.types import FUTURE_NS_MAX
 from handfast.deploy.check.finding import Finding, Level
 from handfast.deploy.check.network import hand_bytes

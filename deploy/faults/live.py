@@ -14,8 +14,7 @@ from handfast.agent.common.time import NS_PER_S
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
 from handfast.agent.fleet.loading import ScenarioError, parse_scenario
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
-from handfast.agent.links.timed_rules import named
+from handfast.agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX, named
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import RULES_MAX, Faults, Message
 from handfast.deploy.console.arguments import InputError

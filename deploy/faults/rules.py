@@ -24,8 +24,7 @@ from handfast.agent.fleet.fault_rules import (
     Rule,
 )
 from handfast.agent.fleet.loading import ScenarioError, parse_scenario
-from handfast.agent.links.fault_plan import FaultPlan
-from handfast.agent.links.timed_rules import named
+from handfast.agent.links.fault_plan import FaultPlan, named
 from handfast.agent.messages.types import EVERY_AUTHOR, Faults
 from handfast.deploy.console.wording import robots
 

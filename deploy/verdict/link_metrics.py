@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Rule
 from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.agent.formation.points import Floats
-from handfast.agent.links.fault_plan import FaultPlan
-from handfast.agent.links.timed_rules import link_effects
+from handfast.agent.links.fault_plan import FaultPlan, link_effects
 from handfast.agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.analysis.rounding import largest, mean, number, percentile
