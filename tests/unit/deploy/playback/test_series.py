@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfast.deploy.playback import series as module
+from handfast.deploy.playback import scene as module
 from handfast.deploy.playback.scene import nearest, series
 from tests.unit.deploy.playback.runs import FLEET, result_of
 from tests.unit.deploy.synthetic_run import in_formation

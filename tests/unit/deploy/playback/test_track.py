@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfast.deploy.playback import track as module
+from handfast.deploy.playback import scene as module
 from handfast.deploy.playback.scene import COLUMNS, Track
 from tests.unit.deploy.playback.runs import FLEET, result_of
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from handfast.deploy.report.drawing import side_by_side as module
+from handfast.deploy.report import plotting as module
 from handfast.deploy.report.plotting import side_by_side
 
 TIMEOUT_S = 60.0

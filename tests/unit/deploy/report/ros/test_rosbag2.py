@@ -219,9 +219,9 @@ def test_times_that_ros_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_without_rosbags_it_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("rosbag2", "messages"):
-        monkeypatch.delitem(sys.modules, f"handfast.deploy.report.ros.{name}")
-        monkeypatch.delattr(f"handfast.deploy.report.ros.{name}")
+    for name in ("rosbag2", "ros_messages"):
+        monkeypatch.delitem(sys.modules, f"handfast.deploy.report.{name}")
+        monkeypatch.delattr(f"handfast.deploy.report.{name}")
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)
     expected = r"^--format rosbag2 needs the package rosbags\S*: pip install 'handfast\[ros2\]'$"

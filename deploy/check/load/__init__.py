@@ -1,1 +1,0 @@
-"""What a fleet sends: over its networks and its radios, beside what they have, and in how many processes."""

@@ -1,1 +1,0 @@
-"""What all figures are drawn with: style and marks, layout, labels, faults above the axes, two processes."""
