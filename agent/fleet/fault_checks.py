@@ -19,8 +19,6 @@ from handfast.agent.fleet.fault_rules import (
 
 def check_faults(faults: Mapping[str, Any], ids: Sequence[int], reader: Reader) -> None:
     """Adds what is wrong with valid values that do not go together; `ids` are the fleet's robots."""
-    traces = _check_traces(faults.get("traces", ()), reader)
-    _check_delay(faults, "faults", traces, reader)
     names: dict[str, int] = {}
     for number, row in enumerate(faults.get("rules", ()), 1):
         if not row:
@@ -29,33 +27,10 @@ def check_faults(faults: Mapping[str, Any], ids: Sequence[int], reader: Reader) 
         name = row.get("name")
         if name and names.setdefault(name, number) != number:
             reader.add(f"{place}.name", f"faults.rule[{names[name]}] has the name {show(name)} already")
-        _check_delay(row, place, traces, reader)
         _check_where(row, place, ids, reader)
         _check_when(row, place, reader)
+        _check_actions(row, place, reader)
         _check_what(row, place, reader)
-
-
-def _check_traces(rows: Sequence[Mapping[str, Any]], reader: Reader) -> set[str]:
-    """The names of the traces."""
-    first: dict[str, int] = {}
-    for number, row in enumerate(rows, 1):
-        place, name = f"faults.trace[{number}]", row.get("name")
-        if name is not None and first.setdefault(name, number) != number:
-            reader.add(f"{place}.name", f"faults.trace[{first[name]}] has the name {show(name)} already")
-        if row.get("delays") == ():
-            reader.add(f"{place}.delays", "must have at least one delay, such as delays = [0.012, 0.019]")
-    return set(first)
-
-
-def _check_delay(row: Mapping[str, Any], place: str, traces: set[str], reader: Reader) -> None:
-    delay = row.get("delay")
-    for value in () if delay is None else (delay.start, delay.end):
-        if value is not None and value.trace and value.trace not in traces:
-            known = ", ".join(sorted(map(str, traces))) or "none"
-            reader.add(
-                f"{place}.delay",
-                f"there is no [[faults.trace]] of the name {show(value.trace)}; names are: {known}",
-            )
 
 
 def _check_where(row: Mapping[str, Any], place: str, ids: Sequence[int], reader: Reader) -> None:
@@ -109,6 +84,10 @@ def _check_when(row: Mapping[str, Any], place: str, reader: Reader) -> None:
             f"{place}.{timed[0]}",
             "holds for the whole run (a process reads the wall clock once): leave at, for and every out",
         )
+
+
+def _check_actions(row: Mapping[str, Any], place: str, reader: Reader) -> None:
+    at, duration = row.get("at"), row.get("duration")
     if row.get("wipe") and row.get("kill") is None and row.get("restart") is None:
         reader.add(f"{place}.wipe", "belongs to kill or restart: a process that lives keeps its disk")
     for name in ACTION_FIELDS:

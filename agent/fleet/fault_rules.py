@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Generic, Literal, TypeVar, cast
 
-from handfast.agent.common.settings import about, setting
+from handfast.agent.common.settings import setting
 from handfast.agent.common.wording import show
 from handfast.agent.impairments.impairments import (
     Corrupt,
@@ -222,8 +222,7 @@ class Impairments:
         Delay,
         '"200ms"',
         "Messages come this much after they were sent: `200ms`, `80ms 20ms` (uniform, +- 20 ms), "
-        "`normal 80ms 20ms 25%` (distribution, mean, jitter, correlation; also `pareto`, `paretonormal`), "
-        "`trace NAME`.",
+        "`normal 80ms 20ms 25%` (distribution, mean, jitter, correlation; also `pareto`, `paretonormal`).",
     )
     loss: Effect[Loss] | None = _impairment(
         Loss,
@@ -405,26 +404,6 @@ class Rule(Impairments):
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
-    """One ``[[faults.trace]]``."""
-
-    name: str = field(
-        metadata=about(
-            'What `delay = "trace NAME"` calls it.', pattern=r"[A-Za-z0-9_-]{1,40}",
-            pattern_says="1 to 40 letters, digits, - or _", example='"wifi"',
-        )
-    )  # fmt: skip
-    delays: tuple[float, ...] = setting(
-        (),
-        "Delays one after the other, used in turn and again from the first; -1 is a message that is lost.",
-        unit="s",
-        ge=-1,
-        le=3600,
-        example="[0.012, 0.019, -1]",
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class FaultsSection(Impairments):
     """``[faults]``: faults of all links between agents, and of some at times."""
 
@@ -438,4 +417,3 @@ class FaultsSection(Impairments):
         'is written with two dots: `loss = "0%..50%"` grows over the `for`.',
         key="rule",
     )
-    traces: tuple[Trace, ...] = setting((), 'Recorded delays, for `delay = "trace NAME"`.', key="trace")

@@ -45,6 +45,7 @@ REPLACED: Final[Mapping[str, str]] = {
     "network.budget": "`check` always says what messages take of a radio; faults.rate limits links",
     "network.budget_queue_s": "faults.limit bounds the queue of a link that faults.rate limits",
     "faults.replay": "write [[faults.rule]] with the same faults.seed: the same seed gives the same fates",
+    "faults.trace": 'write a distribution: delay = "pareto 80ms 20ms"',
     "network.emulate_budget": "faults.rate limits links",
     "control.clock_skew_max_s": "clocks that are off by more than 50 ms are warned of",
     "control.relaxation": "it is 0.001 with `--law paper`, else 0.2",

@@ -11,8 +11,6 @@ and no draw depends on another or on the order of messages.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Self, TypeAlias, TypeVar
 
@@ -35,19 +33,18 @@ from handfast.agent.impairments.loss_models import Chain, Loss, correlated, happ
 from handfast.agent.impairments.range_model import Range
 
 __all__ = [
-    "Corrupt", "Delay", "Duplicate", "Impairment", "Loss", "Range", "Rate", "Reorder", "Slot", "from_trace",
+    "Corrupt", "Delay", "Duplicate", "Impairment", "Loss", "Range", "Rate", "Reorder", "Slot",
     "interpolate", "parse_ramp",
 ]  # fmt: skip
 
-_DELAY_KINDS: Final = ("constant", *delay_distributions.SHAPES, "trace")
-_NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
+_DELAY_KINDS: Final = ("constant", *delay_distributions.SHAPES)
 _delay = within(seconds, 0.0, 3600.0, "s")
 _bitrate = within(bits_per_second, 1.0, 1e12, "bit/s")
 
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """The delay of a message: "200ms", "80ms 20ms 25%", "normal 80ms 20ms", "trace NAME".
+    """The delay of a message: "200ms", "80ms 20ms 25%", "normal 80ms 20ms".
 
     Mean and jitter, s, and the correlation of successive delays. With a jitter and no distribution uniform,
     mean +- jitter; the others are those of `delay_distributions.SHAPES`, and netem's order "80ms 20ms
@@ -55,11 +52,10 @@ class Delay:
     before they are cut at 0.
     """
 
-    distribution: str = "constant"  # or a name of delay_distributions.SHAPES, or trace
+    distribution: str = "constant"  # or a name of delay_distributions.SHAPES
     mean: float = 0.0
     jitter: float = 0.0
     correlation: float = 0.0
-    trace: str = ""  # its name
     _score_correlation: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -79,10 +75,6 @@ class Delay:
                 raise ValueError(f"must name one distribution, of {known}, got {shown(raw)}")
             kind = words[-1]
             del words[-2:]
-        if kind == "trace":
-            if len(words) != 1 or not _NAME.fullmatch(words[0]):
-                raise ValueError(f'must be written "trace NAME", got {shown(raw)}')
-            return cls(kind, trace=words[0])
         kind = kind or ("constant" if len(words) == 1 else "uniform")
         if kind == "constant":
             if len(words) != 1:
@@ -95,8 +87,6 @@ class Delay:
         return cls(kind, named("mean", _delay, words[0]), jitter, correlation(words[2:]))
 
     def __str__(self) -> str:
-        if self.trace:
-            return f"trace {self.trace}"
         words = [text(self.mean, "s")]
         if self.distribution != "constant":
             words.append(text(self.jitter, "s"))
@@ -107,7 +97,7 @@ class Delay:
         return " ".join(words)
 
     def sample(self, stream: int, sequence: int) -> float:
-        """The delay of one message, s; less than 0 is cut to 0, as in netem. Not of a trace: `from_trace`."""
+        """The delay of one message, s; less than 0 is cut to 0, as in netem."""
         if self.distribution == "constant":
             return self.mean
         shape = delay_distributions.SHAPES[self.distribution]
@@ -117,15 +107,6 @@ class Delay:
             z = normal(stream, sequence)
         delay = self.mean + self.jitter * shape(z)
         return delay if delay > 0.0 else 0.0
-
-
-def from_trace(delays: Sequence[float], sequence: int) -> float | None:
-    """The delay, s, of a message by a table that is used over and over.
-
-    None, the message is lost, where the table has a negative number or none (nan). The table is not empty.
-    """
-    delay = delays[sequence % len(delays)]
-    return delay if delay >= 0.0 else None
 
 
 @dataclass(frozen=True, slots=True)

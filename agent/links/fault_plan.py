@@ -204,7 +204,6 @@ class FaultPlan:
 
     Attributes:
         seed: of every draw.
-        traces: the named tables of delays, s, -1 for a lost message.
         changes: counts up whenever other rules hold than before; what was worked out from them is stale then.
     """
 
@@ -212,7 +211,6 @@ class FaultPlan:
         section = fleet.faults
         self.ids: Final = fleet.ids
         self.seed: Final = fleet.fleet.seed if section.seed is None else section.seed
-        self.traces: Final = {trace.name: trace.delays for trace in section.traces}
         self.changes = 0
         self.epoch_ns: int | None = None
         self._defaults = link_effects(section)

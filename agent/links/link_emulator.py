@@ -19,9 +19,8 @@ from typing import Final, NamedTuple
 from handfast.agent.common import random_streams
 from handfast.agent.common.models import new
 from handfast.agent.common.time import NS_PER_S, LocalTime
-from handfast.agent.impairments.impairments import Delay, from_trace
+from handfast.agent.impairments.impairments import Delay
 from handfast.agent.links.fault_plan import NONE, FaultPlan, LinkEffects, LinkRules
-from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
@@ -97,13 +96,10 @@ class _Link:
             stamp_ns = self._theirs.true_ns(stamp_ns)
         return stamp_ns if self._ours is None else self._ours.local_ns(stamp_ns)
 
-    def delay_ns(self, delay: Delay | None, sequence: int, purpose: str) -> int | None:
-        """The drawn delay of one message, None when the trace says that it is lost."""
+    def delay_ns(self, delay: Delay | None, sequence: int, purpose: str) -> int:
+        """The drawn delay of one message."""
         if delay is None:
             return 0
-        if delay.trace:
-            seconds = from_trace(self._plan.traces[delay.trace], sequence - FIRST_ROUND)
-            return None if seconds is None else round(seconds * NS_PER_S)
         return round(delay.sample(self._streams[purpose], sequence) * NS_PER_S)
 
     def decide(
@@ -136,9 +132,6 @@ class _Link:
                 out.append((marks | LOST | OVERFLOW, _LOST_US, -1))
                 continue
             delay_ns = self.delay_ns(effects.delay, sequence, purpose)
-            if delay_ns is None:
-                out.append((marks | LOST, _LOST_US, -1))
-                continue
             if (
                 delay_ns
                 and effects.reorder is not None

@@ -207,7 +207,7 @@ def _late_s(fleet: Fleet) -> float:
     if fleet.faults.delay is None:
         return 0.0
     delay = fleet.faults.delay.start
-    return 0.0 if delay.trace else delay.mean + delay.jitter
+    return delay.mean + delay.jitter
 
 
 def _lag(fleet: Fleet) -> Iterator[Finding]:

@@ -265,7 +265,7 @@ def _deaf(effects: LinkEffects, distance: float | None) -> str:
 def _too_old(effects: LinkEffects, horizon_s: float) -> str:
     """Why every message is so old that its sender counts as silent, "" when that is not certain."""
     delay, most_s = effects.delay, horizon_s + LATE_MAX_NS / NS_PER_S
-    if delay is None or delay.trace or effects.reorder is not None:
+    if delay is None or effects.reorder is not None:
         return ""
     if delay.mean - _JITTERS.get(delay.distribution, 4.0) * delay.jitter <= most_s:
         return ""

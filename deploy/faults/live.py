@@ -208,9 +208,6 @@ def _beyond_rules(section: FaultsSection) -> list[tuple[str, str]]:
     out = []
     if section.seed is not None:
         out.append(("faults.seed", "a running fleet draws with the seed of its own file: leave it out"))
-    whole = "is not for a running fleet: run with it (handfast run --faults)"
-    if section.traces:
-        out.append(("faults.trace[1]", whole))
     return out
 
 

@@ -182,7 +182,7 @@ def _cuts(faults: Impairments) -> bool:
     losses = () if faults.loss is None else (faults.loss.start, faults.loss.end)
     delays = () if faults.delay is None else (faults.delay.start, faults.delay.end)
     return any(loss is not None and loss.rate > _LOSS_MAX for loss in losses) or any(
-        delay is not None and (delay.trace or delay.mean + delay.jitter > _DELAY_MAX_S) for delay in delays
+        delay is not None and delay.mean + delay.jitter > _DELAY_MAX_S for delay in delays
     )
 
 

@@ -273,9 +273,9 @@ def is_mild(rule: Rule) -> bool:
         return False
     delays = () if rule.delay is None else (rule.delay.start, rule.delay.end)
     losses = () if rule.loss is None else (rule.loss.start, rule.loss.end)
-    return all(
-        delay is None or (not delay.trace and delay.mean + delay.jitter <= LATE_MAX_S) for delay in delays
-    ) and all(loss is None or loss.rate <= LOST_MAX for loss in losses)
+    return all(delay is None or delay.mean + delay.jitter <= LATE_MAX_S for delay in delays) and all(
+        loss is None or loss.rate <= LOST_MAX for loss in losses
+    )
 
 
 def formed_by_s(way_m: float, course_mps: float, fleet: Fleet) -> float:

@@ -62,9 +62,6 @@ def test_every_field_of_a_rule_survives_writing_and_reading() -> None:
 [faults]
 delay = "normal 80ms 20ms"
 limit = 500
-[[faults.trace]]
-name = "wifi"
-delays = [0.01, -1, 0.02]
 [[faults.rule]]
 name = "flap"
 link = ["1->2", "3<->4"]
@@ -80,7 +77,7 @@ for = 5
 [[faults.rule]]
 robot = [1, 3]
 topic = "state"
-delay = "trace wifi"
+delay = "80ms"
 [[faults.rule]]
 robot = 2
 position_bias_m = [0.1, -0.2]
@@ -190,7 +187,6 @@ def test_majorities_each_hear_a_different_one(count: int) -> None:
         ('delay = "-5ms"', "faults.delay: must not be negative"),
         ('loss = "30"', 'a percentage is written "30%"'),
         ('delay = "fast"', "faults.delay: must be"),
-        ('delay = "trace wifi"', 'there is no [[faults.trace]] of the name "wifi"; names are: none'),
         ("los = 3", "faults.los: unknown field; did you mean loss?"),
         ("clock_skew = 3", "faults.clock_skew: unknown field"),
     ],
@@ -249,13 +245,6 @@ def test_a_rule_whose_effect_is_wrong_is_not_said_to_have_none(effect: str) -> N
 def test_two_rules_of_one_name() -> None:
     rule = '[[faults.rule]]\nname = "cut"\nloss = "5%"\n'
     assert any('faults.rule[1] has the name "cut" already' in problem for problem in problems(rule + rule))
-
-
-def test_two_traces_of_one_name_and_one_without_delays() -> None:
-    trace = '[[faults.trace]]\nname = "wifi"\n'
-    found = problems(trace + "delays = [0.1]\n" + trace)
-    assert any('faults.trace[2].name: faults.trace[1] has the name "wifi" already' in said for said in found)
-    assert any("faults.trace[2].delays: must have at least one delay" in said for said in found)
 
 
 def test_a_scenario_is_read_with_the_fleets_robots() -> None:

@@ -20,7 +20,6 @@ from handfast.agent.impairments.impairments import (
     Rate,
     Reorder,
     Slot,
-    from_trace,
     interpolate,
     parse_ramp,
 )
@@ -50,7 +49,6 @@ KNOWN_S = {  # the first three delays of STREAM
         ("normal 80ms 20ms 0%", Delay("normal", 0.08, 0.02), "normal 80ms 20ms"),
         ("80ms 20ms 25% distribution pareto", Delay("pareto", 0.08, 0.02, 0.25), "pareto 80ms 20ms 25%"),
         ("paretonormal 1s 1ms 5%", Delay("paretonormal", 1.0, 0.001, 0.05), "paretonormal 1s 1ms 5%"),
-        ("trace wifi-3", Delay("trace", trace="wifi-3"), "trace wifi-3"),
         (0.3, Loss("random", (0.3, 0.0)), "30%"),
         ("30% 25%", Loss("random", (0.3, 0.25)), "30% 25%"),
         ("random 30%", Loss("random", (0.3, 0.0)), "30%"),
@@ -101,7 +99,7 @@ DELAY_WANTED = 'must be a number or a text such as "200ms", "80ms 20ms" or "norm
         (Delay, ["80ms"], f"{DELAY_WANTED}['80ms']"),
         (Delay, "9 " * 101, DELAY_WANTED),
         (Delay, math.inf, DELAY_WANTED),
-        (Delay, "late", 'one of constant, uniform, normal, pareto, paretonormal, trace, got "late"'),
+        (Delay, "late", 'one of constant, uniform, normal, pareto, paretonormal, got "late"'),
         (Delay, "80 ms", "units: us, ms, s, min, h"),
         (Delay, "80ms -1ms", 'jitter must not be negative, got "-1ms"'),
         (Delay, "80ms 20ms 100%", 'correlation must be less than 100%, got "100%"'),
@@ -113,8 +111,6 @@ DELAY_WANTED = 'must be a number or a text such as "200ms", "80ms 20ms" or "norm
         (Delay, "normal 80ms 20ms distribution normal", "must name one distribution"),
         (Delay, "80ms distribution normal", 'must be written "normal 80ms 20ms"'),
         (Delay, "constant 80ms 20ms", 'must be written "constant 80ms"'),
-        (Delay, "trace", 'must be written "trace NAME"'),
-        (Delay, "trace a/b", 'must be written "trace NAME"'),
         (Loss, "120%", 'must be between 0% and 100%, got "120%"'),
         (Loss, "30", 'got "30"; a percentage is written "30%"'),
         (Loss, 30, 'a percentage is written "30%"'),
@@ -181,11 +177,6 @@ def test_delays_are_the_same_on_every_machine_and_in_every_process():
         [n for n in range(FIRST, FIRST + 99) if Loss.parse("gemodel 10% 30%").lost(STREAM, n)],
     ]
     assert other.stdout.strip() == str(here)
-
-
-def test_traces_are_used_over_and_over_and_hold_losses():
-    table = (0.1, -1.0, 0.0, math.nan)
-    assert [from_trace(table, n) for n in range(6)] == [0.1, None, 0.0, None, 0.1, None]
 
 
 @pytest.mark.parametrize(
@@ -291,7 +282,6 @@ def test_ramp_moves_what_is_drawn():
     [
         (Delay, "0ms .. 80ms 20ms"),
         (Delay, "normal 0ms 0ms .. 80ms 20ms"),
-        (Delay, "trace a .. trace b"),
         (Loss, "every 3 .. every 9"),
         (Loss, "gemodel 1% .. state 1%"),
         (Reorder, "0% .. 50% gap 5"),

@@ -135,10 +135,6 @@ def test_sensors_clocks_and_ticks() -> None:
 
 def test_live_faults_are_rules_and_nothing_else() -> None:
     plan = FaultPlan(fleet())
-    trace = (
-        '[[faults.trace]]\nname = "w"\ndelays = [0.1]\n[[faults.rule]]\nlink = "1->2"\ndelay = "trace w"\n'
-    )
-    assert plan.take(live(trace), NOW) == "scenario"
     assert plan.take(live('[faults]\nloss = "5%"\n'), NOW) == "scenario"
     assert plan.take(live("[faults]\nseed = 5\n"), NOW) == "scenario"
     for done_elsewhere in ('kill = "agent"\nat = 1\n', 'clock_skew = "1s"\n'):

@@ -13,7 +13,6 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.link_emulator import LinkEmulator
 from handfast.agent.messages.codec import decode, encode
-from handfast.agent.messages.trickle_timer import FIRST_ROUND
 from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
@@ -176,12 +175,6 @@ def test_ten_thousand_waiting_messages_come_in_the_order_of_their_times_and_no_m
     assert len(times) == 10_000
     assert all(earlier <= later + 1000 for earlier, later in pairwise(times))
     assert times != sorted(due)  # the jitter did change the order of sending
-
-
-def test_a_trace_gives_delays_in_turn() -> None:
-    to = links('[faults]\ndelay = "trace wifi"\n[[faults.trace]]\nname = "wifi"\ndelays = [0.01, -1, 0.03]\n')
-    found = fates(to, range(FIRST_ROUND, FIRST_ROUND + 6))
-    assert list(found.values()) == [[(0, 10_000)], [(LOST, -1)], [(0, 30_000)]] * 2
 
 
 def test_a_ramp_grows_over_its_time() -> None:

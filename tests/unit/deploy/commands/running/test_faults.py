@@ -112,10 +112,6 @@ def test_every_field_of_a_rule_has_an_option_with_help(capsys: pytest.CaptureFix
         ("[control]\nkp = 1\n", "s.toml: control: unknown table"),
         ('[faults]\nseed = 1\nloss = "1%"\n', "s.toml: faults.seed: a running fleet draws with the seed"),
         (
-            '[faults]\nloss = "1%"\n[[faults.trace]]\nname = "wifi"\ndelays = [0.1]\n',
-            "s.toml: faults.trace[1]: is not for a running fleet: run with it",
-        ),
-        (
             '[[faults.rule]]\nrobot = 1\npause = "plant"\nat = 1\nfor = 1\n',
             "s.toml: faults.rule[1].pause: processes are killed",
         ),
