@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from handfast.agent.messages import key_expressions
+from handfast.agent.messages.types import Stop
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.drive.display.live_view import View
 from handfast.deploy.drive.fleet_state import COLLECT_S, FleetState
@@ -58,14 +59,28 @@ class Standstill:
         fleet_state.say(stop)
         if self._hurried:
             view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
-        fleet, statuses = fleet_state.fleet, fleet_state.watch.statuses
-        others = Stopping(fleet, stop.time_ns, reason, stop)
+        others = Stopping(fleet_state.fleet, stop.time_ns, reason, stop)
+        ways = self._repeat(stop, others)
+        self._collect(LAST_S)
+        for way in ways:
+            way.close()
+        deaf = [robot for robot in fleet_state.fleet.ids if not self._has_acknowledged(robot, stop)]
+        reached = [robot for robot in deaf if others.stands_by(robot)]
+        for line in others.outcomes_elsewhere(reached):
+            view.say(line)
+        self.deaf = [robot for robot in deaf if robot not in reached]
+
+    def _repeat(self, stop: Stop, others: Stopping) -> Sequence[Way]:
+        """Repeat the stop until all stand or time is up; return the other ways that were used."""
+        fleet_state, processes = self._fleet_state, self._fleet_state.processes
         ways: Sequence[Way] | None = None
         begun = time.monotonic()
         again, deadline = begun + self._timing.stop_again_s, begun + self._timeout_s
         last = max(deadline, begun + WAYS_S)
         waiting = [
-            robot for robot in fleet.ids if all(processes.up(robot, role) for role in key_expressions.ROLES)
+            robot
+            for robot in fleet_state.fleet.ids
+            if all(processes.up(robot, role) for role in key_expressions.ROLES)
         ]
         while (now := time.monotonic()) < last and self._interrupt.count < 2:
             if now >= deadline and not any(way.busy for way in ways or ()):
@@ -73,38 +88,45 @@ class Standstill:
             self._collect()
             fleet_state.pass_on()
             late = now >= begun + LATE_S
-            deaf = late and not all(has_acknowledged(statuses.get(robot), stop) for robot in waiting)
-            if ways is None and (self._hurried or deaf):
+            if ways is None and (self._hurried or (late and not self._all_acknowledged(waiting, stop))):
                 ways = self._make_ways()
                 for way in ways:
                     way.send(stop)
             for way in ways or ():
                 way.collect(others)
-            # Who is deaf to these links, and is known otherwise to brake, is waited for no longer.
-            waiting = [
-                robot
-                for robot in waiting
-                if not late or has_acknowledged(statuses.get(robot), stop) or not others.stands_by(robot)
-            ]
-            rest = all(stands(statuses.get(robot), fleet_state.states.get(robot)) for robot in waiting)
-            # Those that end now will not drive again; others must have latched the stop.
-            if rest and (
-                processes.ours or all(has_acknowledged(statuses.get(robot), stop) for robot in waiting)
-            ):
+            if late:
+                # Stop waiting for robots that are already known, through another channel, to be braking.
+                waiting = [
+                    robot
+                    for robot in waiting
+                    if self._has_acknowledged(robot, stop) or not others.stands_by(robot)
+                ]
+            if self._at_rest(waiting, stop):
                 break
             if now >= again:
                 again = now + self._timing.stop_again_s
-                if any(r not in statuses or statuses[r].order_version < stop.version for r in waiting):
+                if not self._all_know(waiting, stop):
                     fleet_state.say(stop)
             time.sleep(LOOK_S)
-        self._collect(LAST_S)
-        for way in ways or ():
-            way.close()
-        self.deaf = [robot for robot in fleet.ids if not has_acknowledged(statuses.get(robot), stop)]
-        reached = [robot for robot in self.deaf if others.stands_by(robot)]
-        for line in others.outcomes_elsewhere(reached):
-            view.say(line)
-        self.deaf = [robot for robot in self.deaf if robot not in reached]
+        return ways or ()
+
+    def _has_acknowledged(self, robot: int, stop: Stop) -> bool:
+        return has_acknowledged(self._fleet_state.watch.statuses.get(robot), stop)
+
+    def _all_acknowledged(self, robots: Sequence[int], stop: Stop) -> bool:
+        return all(self._has_acknowledged(robot, stop) for robot in robots)
+
+    def _at_rest(self, robots: Sequence[int], stop: Stop) -> bool:
+        """Return True if all stand. Processes of ours end now and will not drive again; other robots must
+        also have latched the stop."""
+        statuses, states = self._fleet_state.watch.statuses, self._fleet_state.states
+        if not all(stands(statuses.get(robot), states.get(robot)) for robot in robots):
+            return False
+        return self._fleet_state.processes.ours or self._all_acknowledged(robots, stop)
+
+    def _all_know(self, robots: Sequence[int], stop: Stop) -> bool:
+        statuses = self._fleet_state.watch.statuses
+        return all(r in statuses and statuses[r].order_version >= stop.version for r in robots)
 
     @property
     def _timeout_s(self) -> float:
