@@ -16,13 +16,13 @@ from typing import Final
 ROOT: Final = Path(__file__).parents[2]
 PACKAGES: Final = ("agent", "plant", "bridges", "deploy")
 
-CODE_LINES_MAX: Final = 57_000
-MODULES_MAX: Final = 570
-COMPLEX_FUNCTIONS_MAX: Final = 98
+CODE_LINES_MAX: Final = 53_200
+MODULES_MAX: Final = 403
+COMPLEX_FUNCTIONS_MAX: Final = 60
 COMPLEXITY: Final = 15
 """Complexity above which a function counts as complex."""
-COMPLEXITY_MAX: Final = 56
-TEST_CODE_LINES_MAX: Final = 79_000
+COMPLEXITY_MAX: Final = 30
+TEST_CODE_LINES_MAX: Final = 65_000
 
 _BRANCHES: Final = (
     ast.If,
