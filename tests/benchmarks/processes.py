@@ -327,8 +327,9 @@ def start_handfast(
     """The product's own processes, as `handfast run` starts them."""
     for robot in fleet.ids:
         for role in ROLES:
-            command = [sys.executable, "-P", "-m", role, "--fleet", str(fleet_file), "--robot", str(robot)]
-            group.start(robot, role, [*command, "--exit-with-parent"], extra or {})
+            command = [sys.executable, "-P", "-m", f"handfast.{role}", "--fleet", str(fleet_file)]
+            command += ["--robot", str(robot), "--exit-with-parent"]
+            group.start(robot, role, command, extra or {})
 
 
 def measure(

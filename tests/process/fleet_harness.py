@@ -130,7 +130,17 @@ class Robots:
     def start(self, robot: int, role: str, *more: str) -> None:
         """Starts one process, which finds the orders that it kept; `more` are further arguments."""
         orders = ("--orders", str(self.folder / "orders"))
-        self.run(robot, role, role, "--fleet", str(self.fleet_file), "--robot", str(robot), *orders, *more)
+        self.run(
+            robot,
+            role,
+            f"handfast.{role}",
+            "--fleet",
+            str(self.fleet_file),
+            "--robot",
+            str(robot),
+            *orders,
+            *more,
+        )
 
     def run(self, robot: int, role: str, module: str, *arguments: str) -> None:
         """Starts one process; its last words are in `log(robot, role)`."""

@@ -120,7 +120,7 @@ class Rovers(Robots):
         if role == VEHICLE:
             self.run(robot, role, self.fleet.robot(robot).kind.simulator, *self.vehicles[robot].arguments)
         else:
-            module = self.fleet.robot(robot).kind.program if role == "plant" else role
+            module = self.fleet.robot(robot).kind.program if role == "plant" else f"handfast.{role}"
             self.run(robot, role, module, "--fleet", str(self.fleet_file), "--robot", str(robot), *more)
 
     def start_all(self) -> None:

@@ -163,7 +163,7 @@ class SecuredRobots(Robots):
         if (robot, role) == (TAKEN, "agent"):
             self.run(robot, role, "tests.process.taken_over", self._path, *arguments)
         else:
-            self.run(robot, role, role, *arguments)
+            self.run(robot, role, f"handfast.{role}", *arguments)
 
     def start_router(self, number: int) -> None:
         keys = str(self.keys.of(of_router(self.name)))

@@ -67,7 +67,7 @@ def agent_fails(folder: Path, fleet: Fleet, robot: int, role: str = "agent", sta
     file = folder / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet)))
     done = subprocess.run(
-        [sys.executable, "-P", "-m", role, "--fleet", str(file), "--robot", str(robot)],
+        [sys.executable, "-P", "-m", f"handfast.{role}", "--fleet", str(file), "--robot", str(robot)],
         env=environment(),
         stdin=subprocess.DEVNULL,
         capture_output=True,
