@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -15,9 +13,6 @@ from typing import Final
 from handfast.agent.messages.types import Message
 from handfast.deploy.console.data_files import handfast
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.playback.scene import Track, scene
-from handfast.deploy.verdict.run_result import RunResult
-from handfast.deploy.view.server import Content, page_files
 
 OVER: Final = b"over\n"
 """Says that the drive is over, and its recording not complete yet."""
@@ -134,35 +129,3 @@ class StartUnderWay:
 
     def step(self, now_ns: int) -> None:
         """Nothing: it goes on by itself."""
-
-
-_PIECE: Final = "piece/"
-_ROWS: Final = "application/octet-stream"
-
-
-def answers(result: RunResult) -> Callable[[str], Content | None]:
-    """What a server of this run answers: the page and its files, `scene` (JSON), `overview` and ``piece/K``
-    (rows, `deploy.playback.track`).
-
-    Raises:
-        handfast.agent.formation.geometry.FormationError: the run's formation cannot be resolved.
-    """
-    track = Track(result)
-    description = Content(
-        json.dumps(scene(result, track), allow_nan=False).encode(), "application/json; charset=utf-8"
-    )
-    overview = Content(track.overview(), _ROWS)
-    files = page_files("recorded")
-
-    def answer(path: str) -> Content | None:
-        if path == "scene":
-            return description
-        if path == "overview":
-            return overview
-        if not path.startswith(_PIECE):
-            return files(path)
-        number = path.removeprefix(_PIECE)
-        is_there = number.isascii() and number.isdecimal() and len(number) < 10
-        return Content(track.piece(int(number)), _ROWS) if is_there and int(number) < track.pieces else None
-
-    return answer

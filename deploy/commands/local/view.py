@@ -99,7 +99,7 @@ def _recorded(options: argparse.Namespace, folder: Path) -> int:
     from handfast.deploy.playback.page import served_policy
     from handfast.deploy.recording.mcap_reader import read_run
     from handfast.deploy.verdict.run_result import RunResult
-    from handfast.deploy.view.beside import answers
+    from handfast.deploy.view.recorded import answers
     from handfast.deploy.view.server import Server
 
     print(f"reading {options.what}", file=sys.stderr)
@@ -205,7 +205,7 @@ async def _beside(folder: Path, server: LiveServer) -> None:
 def _answers(folder: Path) -> Answer:
     from handfast.deploy.recording.mcap_reader import read_run
     from handfast.deploy.verdict.run_result import RunResult
-    from handfast.deploy.view.beside import answers
+    from handfast.deploy.view.recorded import answers
 
     return answers(RunResult(read_run(folder)))
 

@@ -6,7 +6,7 @@ import json
 
 from handfast.deploy.playback.page import MODULES, served
 from handfast.deploy.playback.scene import Track
-from handfast.deploy.view.beside import answers
+from handfast.deploy.view.recorded import answers
 from tests.unit.deploy.playback.runs import result_of
 
 
