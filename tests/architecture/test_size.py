@@ -17,7 +17,7 @@ ROOT: Final = Path(__file__).parents[2]
 PACKAGES: Final = ("agent", "plant", "bridges", "deploy")
 
 CODE_LINES_MAX: Final = 53_200
-MODULES_MAX: Final = 403
+MODULES_MAX: Final = 404
 COMPLEX_FUNCTIONS_MAX: Final = 60
 COMPLEXITY: Final = 15
 """Complexity above which a function counts as complex."""
