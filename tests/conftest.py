@@ -159,9 +159,14 @@ def _descendants() -> set[int]:
         for listing in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
             for pid in map(int, _read(listing).split()):
                 parents.append(pid)
-                if _running(pid) and "multiprocessing.resource_tracker" not in _command(pid):
+                if _running(pid) and not _is_pythons_own(pid):
                     found.add(pid)
     return found
+
+
+def _is_pythons_own(pid: int) -> bool:
+    """Return True for the helper that `multiprocessing` keeps until the process that started it ends."""
+    return "multiprocessing.resource_tracker" in _command(pid)
 
 
 def _marked(environment: str) -> set[int]:
@@ -171,7 +176,7 @@ def _marked(environment: str) -> set[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and wanted in _read(entry / "environ").split(b"\0"):
             found.add(int(entry.name))
-    return {pid for pid in found if _running(pid)}
+    return {pid for pid in found if _running(pid) and not _is_pythons_own(pid)}
 
 
 def _running(pid: int) -> bool:

@@ -102,6 +102,13 @@ MIDDLE_OF_LINK = (
 )
 
 
+NO_ROBOT_IS_NEAR_IT = f"""() => {{
+  const [x, y] = {MIDDLE_OF_LINK};
+  return Object.values(handfast.plan.drawn).every(([a, b]) => Math.hypot(a - x, b - y) > 40);
+}}"""
+"""True once no passing robot covers the middle of the link: a click there would choose the robot."""
+
+
 @pytest.mark.alone  # beside others the machine may run late, and a fleet stands as long as it does
 def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
     with (
@@ -114,6 +121,7 @@ def test_every_control_does_to_the_robots_what_it_says(tmp_path: Path) -> None:
             expect(page.locator("#robots tbody tr").first).to_contain_text(DRIVES)
 
             # A rule on a link, as long as it was asked for.
+            page.wait_for_function(NO_ROBOT_IS_NEAR_IT)
             click_on(page, MIDDLE_OF_LINK)
             expect(page.locator("#change .row")).to_contain_text("link 1 – 2")
             page.locator("#change button", has_text="all lost").click()
