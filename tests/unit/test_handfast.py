@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -82,3 +83,15 @@ def test_none_of_ours_builds_on_it() -> None:
                 named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 named += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
                 assert "handfast" not in named, path
+
+
+def test_a_source_distribution_holds_every_module(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as packed:
+        names = {name.partition("/")[2] for name in packed.getnames()}
+    modules = {
+        f"handfast/{path.relative_to(ROOT)}" for top in PACKAGES for path in (ROOT / top).rglob("*.py")
+    }
+    assert modules <= names
