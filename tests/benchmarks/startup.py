@@ -155,14 +155,14 @@ def once(folder: Path, fleet: str, processes: int, timeout_s: float = TIMEOUT_S)
         if ports <= listening():
             found.listen_s = time.perf_counter() - begun
         children = children_of(process.pid)
-        agents = sum(b"\0agent\0" in command_of(pid) for pid in children)
+        agents = sum(b"\0handfast.agent\0" in command_of(pid) for pid in children)
         if agents != processes // 2:
             raise BenchmarkError(f"handfast run has {agents} agents, not {processes // 2}")
         found.cpu_ms = 1000.0 * mean(map(cpu_s, children))
         if lines.wait(DRIVES, max(0.0, deadline - time.perf_counter())):
             time.sleep(1.0)
             for role in ("agent", "plant"):
-                pids = [pid for pid in children if f"\0{role}\0".encode() in command_of(pid)]
+                pids = [pid for pid in children if f"\0handfast.{role}\0".encode() in command_of(pid)]
                 found.pss_mb[role] = mean(map(pss_mb, pids))
         found.alive_s, found.drive_s = lines.at[ALIVE] - begun, lines.at[DRIVES] - begun
         asked = time.perf_counter()
