@@ -16,7 +16,7 @@ from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
 HERE = Path(__file__).parent
 PROCESS_FOLDERS = ("hosts", "process")  # every test in them starts processes; the longest first
-MAY_SKIP = ("autopilot", "realtime")
+MAY_SKIP = ("autopilot",)
 ORDER = ("", "slow", "process", "autopilot")  # quick tests first, so that a plain mistake shows at once
 MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test starts
 GRACE_S = 2.0  # how long a process that was told to stop may take to be gone

@@ -43,13 +43,6 @@ def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reade
     check_hosts(values, reader)
     check_safety(values, reader)
     check_orders(values.get("orders", ()), raw, ids, reader)
-    _check_cores(values.get("process", {}), reader)
-
-
-def _check_cores(process: Mapping[str, Any], reader: Reader) -> None:
-    for cpu, count in Counter(process.get("cpus") or ()).items():
-        if cpu is not None and count > 1:
-            reader.add("process.cpus", f"core {cpu} is given twice")
 
 
 def _check_plants(robots: Sequence[Mapping[str, Any]], values: Mapping[str, Any], reader: Reader) -> None:

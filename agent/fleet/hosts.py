@@ -327,30 +327,3 @@ def routers_of(
         else:
             found.append(RouterPlace(number, each, each, None))
     return tuple(found)
-
-
-LINKS_PRIORITY: Final = 40
-"""SCHED_FIFO priority of the threads that carry messages. The kernel's own threads that serve interrupts have
-50 (PREEMPT_RT)."""
-PRIORITIES: Final = {"agent": LINKS_PRIORITY + 1, "plant": LINKS_PRIORITY + 2}
-"""SCHED_FIFO priority of a process's own loop. A plant is above its agent, since it brakes where that is
-late."""
-
-
-@dataclass(frozen=True, slots=True)
-class ProcessSection:
-    """``[process]``: how agents, plants and bridges run on their computers."""
-
-    realtime: bool = setting(
-        False,
-        "Agents, plants and bridges run before everything else on their computer: under SCHED_FIFO, with "
-        "their memory locked (Linux). What a computer refuses is said, and they run on without it "
-        "(docs/operating.md).",
-    )
-    cpus: tuple[int, ...] = setting(
-        (),
-        "`realtime`: cores on which they run, by the kernel's numbers. Left out: all that there are.",
-        ge=0,
-        le=1023,
-        example="[2, 3]",
-    )

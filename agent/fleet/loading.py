@@ -374,7 +374,7 @@ def digest(fleet: Fleet) -> str:
 
 def _digest(fleet: Fleet) -> str:
     table = to_dict(fleet)
-    for key in ("network", "host", "recording", "process"):
+    for key in ("network", "host", "recording"):
         table.pop(key, None)
     del table["fleet"]["description"]
     for robot in table["robot"]:

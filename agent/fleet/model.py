@@ -25,7 +25,6 @@ from handfast.agent.fleet.hosts import (
     MESH_ROBOTS_MAX,
     HostSection,
     NetworkSection,
-    ProcessSection,
     RecordingSection,
     RouterPlace,
     routers_of,
@@ -143,13 +142,6 @@ class Fleet:
     recording: RecordingSection = field(
         default_factory=RecordingSection,
         metadata=about("What robots' computers record. Not part of the digest."),
-    )
-    process: ProcessSection = field(
-        default_factory=ProcessSection,
-        metadata=about(
-            "How agents and plants run on their computers (`handfast simulate` has none). Not part of the "
-            "digest."
-        ),
     )
     datum: DatumSection | None = field(
         default=None,

@@ -54,7 +54,7 @@ REPLACED: Final[Mapping[str, str]] = {
     "avoidance.beacon_hz": "it is 5 Hz; avoidance.beacon_interval_max_s makes beacons fewer",
     "avoidance.sensing_m": "it follows from the distance in which robots brake",
     "supervision.slow_after_s": "it is three quarters of control.prediction_horizon_s",
-    "process.priority": "threads that carry messages have 40, agents 41 and plants 42",
+    "process": "systemd or chrt gives processes real time (docs/operating.md#real-time)",
     "robot.mavlink.own_component": "the bridge is component 191",
     "robot.mavlink.own_system": "the bridge speaks as the vehicle's own system",
     "robot.mavlink.resume_after_s": "it is 3 s",

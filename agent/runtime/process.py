@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from handfast.agent.common.errors import BAD_INPUT, FAILED, PASSED, Error
 from handfast.agent.common.time import Clock
@@ -29,9 +29,6 @@ from handfast.agent.security.identity import of_robot
 from handfast.agent.security.private_files import KeyFileError
 from handfast.agent.transport.bus import Bus, BusError, is_opening
 from handfast.agent.transport.sealed_bus import bus_for
-
-if TYPE_CHECKING:
-    from handfast.agent.runtime.realtime import RealTime
 
 GARBAGE: Final = 5_000
 """The collector looks each time that so many more objects are there than were: a loop makes hardly any that
@@ -164,15 +161,6 @@ def _store(options: argparse.Namespace, role: str, log: Log) -> AbstractContextM
         raise StartError(f"cannot keep operators' orders: {error}") from None
 
 
-def _realtime(fleet: Fleet, role: str, log: Log) -> RealTime | None:
-    """Real time, where the fleet file asks for it; else nothing of it is loaded."""
-    if not fleet.process.realtime:
-        return None
-    from handfast.agent.runtime.realtime import RealTime
-
-    return RealTime(fleet.process, role, log)
-
-
 def _run(
     options: argparse.Namespace,
     role: str,
@@ -208,32 +196,31 @@ def _run(
     node, listen, connect, ticks_from, close, beside = start(fleet, options.robot, clock, log)
     robots = options.robot, *beside
     node.runs_by(clock.machine)
-    realtime = _realtime(fleet, role, log)
     try:
-        with open_bus(
-            fleet,
-            options.robot,
-            options.keys,
-            log,
-            listen=listen,
-            connect=connect,
-            near={key for robot in robots for key in key_expressions.near(fleet.fleet.name, robot)},
-            go_on_waiting=waiting,
-            is_wanted=lambda: not asked(),
-            in_batches=True,
-        ) as bus:
-            if realtime is not None:
-                realtime.lead()
-            with _store(options, role, log) as store:
-                keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
-                appear(node, bus, clock, keeper)
-                started()
-                service.ready()
-                names = names_of(fleet, options.robot)
-                loop(node, bus, clock, shutdown, log, service, keeper, names, ticks_from)
-                _say_rejected(node, log)
-                bus.leave()
-                return True
+        with (
+            open_bus(
+                fleet,
+                options.robot,
+                options.keys,
+                log,
+                listen=listen,
+                connect=connect,
+                near={key for robot in robots for key in key_expressions.near(fleet.fleet.name, robot)},
+                go_on_waiting=waiting,
+                is_wanted=lambda: not asked(),
+                in_batches=True,
+            ) as bus,
+            _store(options, role, log) as store,
+        ):
+            keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
+            appear(node, bus, clock, keeper)
+            started()
+            service.ready()
+            names = names_of(fleet, options.robot)
+            loop(node, bus, clock, shutdown, log, service, keeper, names, ticks_from)
+            _say_rejected(node, log)
+            bus.leave()
+            return True
     finally:
         close()
 

@@ -25,7 +25,6 @@ from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.messages.key_expressions import alive, robot_of_alive
 from handfast.agent.runtime.batcher import Batcher
 from handfast.agent.runtime.loop import DIALLED, Log
-from handfast.agent.runtime.realtime import raise_limit
 from handfast.agent.runtime.service import Shutdown, SystemdNotifier, add_parent_argument, wait_until_valid
 from handfast.agent.security.credentials import CredentialsError, load
 from handfast.agent.security.identity import MAIN, Security, of_router
@@ -127,7 +126,9 @@ def serve(
     Raises:
         BusError: the endpoint cannot be listened on.
     """
-    raise_limit(resource.RLIMIT_NOFILE)  # every process of the fleet has links to it
+    with suppress(OSError, ValueError):  # every process of the fleet has links to it
+        hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     with ExitStack() as stack:
         zenoh_log = stack.enter_context(ZenohLog())
         init_log(FILTER)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import floor, inf
+from math import floor
 from typing import Final, NamedTuple
 
 from handfast.agent.common.compiled import COMPILED
@@ -61,12 +61,11 @@ class Machine(NamedTuple):
     """A machine that robots are to run on.
 
     cores: how many processors may be used. speed: how fast one is, against that on which the costs were
-    measured. for_robots: how many of them agents and plants may use (`[process] cpus`).
+    measured.
     """
 
     cores: float
     speed: float
-    for_robots: float = inf
 
 
 class Cost(NamedTuple):
@@ -111,17 +110,13 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
 
 
 def used(cost: Cost, machine: Machine) -> float:
-    """The share of a machine that a fleet uses, or that its robots use of what they may; above 1 it does not
-    fit."""
-    of_all = cost.whole / (machine.cores * machine.speed)
-    return max(of_all, cost.robots * (cost.agent + cost.plant) / (machine.for_robots * machine.speed))
+    """The share of a machine that a fleet uses; above 1 it does not fit."""
+    return cost.whole / (machine.cores * machine.speed)
 
 
 def is_looked_at(fleet: Fleet) -> bool:
-    """Whether it matters what a fleet takes. Robots in real time that take whole machines leave the command
-    little by which to record, end or stop them: six at 200 Hz on two cores, beside other programs, left it a
-    tenth of one, and its recording without seconds of them."""
-    return len(fleet.robots) >= ROBOTS_MIN or fleet.process.realtime
+    """Whether it matters what a fleet takes."""
+    return len(fleet.robots) >= ROBOTS_MIN
 
 
 def is_refused(fleet: Fleet, machine: Machine) -> bool:
@@ -194,8 +189,6 @@ def describe_cost(fleet: Fleet) -> str:
 def describe_capacity(fleet: Fleet, machine: Machine) -> str:
     """How many robots like these a machine carries, in a sentence without its end."""
     count, cores = carried(fleet, machine), f"{machine.cores:g} core{'s' * (machine.cores != 1)}"
-    if machine.for_robots < machine.cores:
-        cores += f", {machine.for_robots:g} of them in process.cpus"
     text = f"this machine ({cores}) carries about {count} robots like these at {fleet.fleet.rate_hz:g} Hz"
     return f"{text}; {len(fleet.robots)} may be slowed down at times" if _is_tight(fleet, machine) else text
 

@@ -26,7 +26,6 @@ from handfast.deploy.check.loop import (
 )
 from handfast.deploy.check.network import check_network
 from handfast.deploy.check.orders import check_orders
-from handfast.deploy.check.realtime import check_realtime
 from handfast.deploy.check.safety import check_safety
 from handfast.deploy.check.shape import check_shape, check_starts, check_structure, unplaced
 from handfast.deploy.check.vehicles import check_vehicles
@@ -70,5 +69,4 @@ def check(fleet: Fleet) -> list[Finding]:
         findings += check_own_plants(fleet)
     findings += check_faults(fleet)
     findings += check_network(fleet)
-    findings += check_realtime(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])

@@ -9,7 +9,6 @@ from typing import Final
 from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.key_expressions import ROLES
-from handfast.agent.runtime.realtime_granted import Granted
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots
 from handfast.deploy.drive.preconditions import refusal
@@ -97,10 +96,6 @@ class Attached:
     def carry_out(self, action: Action, pose: Pose | None) -> bool:
         """Nothing is done to processes that are others'."""
         return False
-
-    def granted(self) -> dict[Process, Granted | None]:
-        """Not known of processes on other machines: `handfast preflight` asks these."""
-        return {}
 
     def resume_all(self) -> None:
         """None was paused."""

@@ -20,7 +20,6 @@ from handfast.agent.messages.types import Event, Heartbeat, Stop
 from handfast.agent.transport.bus import Bus
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots, some
-from handfast.deploy.drive import realtime
 from handfast.deploy.drive.display.live_view import View
 from handfast.deploy.drive.fleet_state import FleetState, Record
 from handfast.deploy.drive.preconditions import BROKEN_OFF, OVER, Timing, clock, is_lifted, refusal, why
@@ -98,7 +97,6 @@ class Drive:
         self._events = 0
         self._show_due_ns = self._heartbeat_due_ns = self._deaths_due_ns = 0
         self._is_over = self._is_left = False
-        self._realtime = realtime.Watch(fleet, processes)
         self.reasons: list[str] = []
         self.warnings: list[str] = []
 
@@ -116,8 +114,7 @@ class Drive:
                 if detach:
                     self._is_left = self._hand_over()
                 else:
-                    with realtime.recording(self._fleet):
-                        self._drive()
+                    self._drive()
         finally:
             begun = self._processes.ours or self._fleet_state.epoch_ns is not None
             try:
@@ -174,8 +171,6 @@ class Drive:
             if alive and fleet_state.is_ready and self._checks.complete(now_ns):
                 for warning in self._checks.warnings():
                     self._view.say(f"warning: {warning}")
-                for sentence in self._realtime.begin():
-                    self._view.say(sentence)
                 return True
             if waited_s > timeout_s:
                 self._fail(f"Not ready within {timeout_s:.0f} s: {fleet_state.waits(missing)}.")
@@ -315,8 +310,6 @@ class Drive:
             self._deaths_due_ns = now_ns + DEATHS_PERIOD_NS
             if self._deaths():
                 return False
-            for sentence in self._realtime.look(now_ns / NS_PER_S):
-                self._warn(sentence)
         return not self._interrupt.count
 
     def _look_after_a_stand(self, now_ns: int) -> None:
@@ -350,7 +343,7 @@ class Drive:
         when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
         alike: dict[str, list[Ended]] = {}
         for child, how in self._processes.deaths():
-            alike.setdefault(realtime.ended(self._fleet, how), []).append(child)
+            alike.setdefault(how, []).append(child)
         for how, children in alike.items():
             if len(children) > DEATHS_MAX:
                 names = some([child.name for child in children])

@@ -26,7 +26,6 @@ from handfast.bridges.mavlink.ardupilot.constants import AVOID_ENABLE, RIGHT_FAI
 from handfast.bridges.mavlink.session.requests import AUDITED
 from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots
-from handfast.deploy.drive import realtime
 from handfast.deploy.drive.readiness import BLOCKING, OK, WARNING, Line, VehicleChecks, sentences
 from handfast.deploy.processes.local import VEHICLE, Processes
 from handfast.deploy.processes.placement import Vehicle
@@ -118,13 +117,7 @@ class Preflight:
                     self._look(processes)
                 finally:
                     processes.end(END_TIMEOUT_S)
-        found = {robot: self._lines(robot) for robot in self._fleet.ids}
-        section = self._fleet.process
-        if section.realtime and not self._interrupt.count:
-            tried = realtime.trial(section)
-            granted = {(robot, role): tried[role] for robot in self._fleet.ids for role in tried}
-            add(found, realtime.lines(section, granted, as_units=False))
-        return found
+        return {robot: self._lines(robot) for robot in self._fleet.ids}
 
     def _lines(self, robot: int) -> list[Line]:
         if robot in self._died:
@@ -157,15 +150,9 @@ class Preflight:
                     return
 
 
-def add(found: Found, more: Mapping[int, Sequence[Line]]) -> None:
-    """Adds lines of robots to those that there are."""
-    for robot, lines in more.items():
-        found[robot] = [*found[robot], *lines]
-
-
 def is_simulated(lines: Sequence[Line]) -> bool:
     """Whether a robot's lines say nothing of a vehicle."""
-    return all(map(realtime.is_realtime, lines))
+    return not lines
 
 
 def death(role: str, how: str, last_lines: Sequence[str]) -> Line:

@@ -1,4 +1,4 @@
-"""Checks of a fleet that is up on its hosts: its vehicles before a drive, and the real time of its processes.
+"""Checks the vehicles of a fleet that is up on its hosts, before a drive.
 
 Bridges run there as units and report on the bus. Of a bridge that says nothing its host is asked over ssh.
 Nothing is ordered and no bridge is started: a fleet that drives goes on as it did.
@@ -6,73 +6,24 @@ Nothing is ordered and no bridge is started: a fleet that drives goes on as it d
 
 from __future__ import annotations
 
-import json
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
 from typing import Any, Final
 
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
-from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.messages.types import Checks, Message
-from handfast.agent.runtime.realtime_granted import Granted, from_json
 from handfast.agent.transport.bus import BusError
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.drive.preflight import BOOT_TIMEOUT_S, TIMEOUT_S, Found, add
-from handfast.deploy.drive.readiness import BLOCKING, WARNING, Line, VehicleChecks, sentences
-from handfast.deploy.drive.realtime import NAME, lines
-from handfast.deploy.faults.process_actions import Process
+from handfast.deploy.drive.preflight import BOOT_TIMEOUT_S, TIMEOUT_S, Found
+from handfast.deploy.drive.readiness import BLOCKING, Line, VehicleChecks
 from handfast.deploy.hosts import systemd_units
 from handfast.deploy.hosts.connection import HostConnection, HostError
 from handfast.deploy.hosts.jobs import FAILED, HostJobs, Row
-from handfast.deploy.inventory.hosts import robots_on
 from handfast.deploy.session.session import INBOX, POLL_S, Session
-
-MODULE: Final = "handfast.agent.runtime.realtime_granted"
-
-
-def granted_on(connection: HostConnection, fleet: Fleet) -> dict[Process, Granted | None]:
-    """What the agents and plants on a host have, of those that run.
-
-    Raises:
-        HostError: it cannot be asked, or what it says makes no sense.
-    """
-    name = fleet.fleet.name
-    units = connection.ask("status", fleet=name)["units"]
-    pids: dict[Process, str] = {}
-    version = ""
-    try:
-        for robot in robots_on(fleet, connection.host):
-            for role in ROLES:
-                about = units.get(systemd_units.unit_name(name, robot, role), {})
-                if about.get("ActiveState") == "active" and about.get("version"):
-                    pids[robot, role], version = str(int(about["MainPID"])), str(about["version"])
-        if not pids:
-            return {}
-        told = connection.ask("run", module=MODULE, arguments=list(pids.values()), version=version)
-        found = [from_json(json.loads(line)) for line in told.splitlines()]
-        return dict(zip(pids, found, strict=True))
-    except (TypeError, ValueError, LookupError, AttributeError) as error:
-        raise HostError(f"what it says of its processes makes no sense ({type(error).__name__})") from None
-
-
-def lines_on(connection: HostConnection, fleet: Fleet) -> dict[int, list[Line]]:
-    """Lines of a preflight, by robot (`deploy.drive.realtime.lines`); raises as `granted_on`."""
-    return lines(fleet.process, granted_on(connection, fleet), as_units=True)
-
-
-def warnings(found: dict[int, list[Line]]) -> list[str]:
-    """Sentences about what was not granted; one that several robots share is said once."""
-    return sentences((line, robot) for robot, each in found.items() for line in each if line.level == WARNING)
-
-
-def unknown(robots: Iterable[int], why: str) -> dict[int, list[Line]]:
-    """Lines of robots whose host cannot be asked."""
-    return {robot: [Line(NAME, WARNING, f"cannot be looked at: {why}", "")] for robot in robots}
-
 
 QUIET_S: Final = 4.0
 """A bridge says its checks once a second: for whom nothing came for so long, its host is asked."""
@@ -116,27 +67,7 @@ class HostsPreflight:
                     if not self._interrupt.count:
                         print(f"handfast: {error}", file=sys.stderr)
                 self._listen(session, stack)
-        found = {robot: self._lines(robot) for robot in self._fleet.ids}
-        if self._fleet.process.realtime and not self._interrupt.count:
-            add(found, self._realtime())
-        return found
-
-    def _realtime(self) -> dict[int, list[Line]]:
-        """What processes have been granted of real time, as their hosts say."""
-        found: dict[int, list[Line]] = {}
-        hosts = [host for host in self._fleet.hosts if robots_on(self._fleet, host)]
-        with HostJobs(
-            self._fleet, hosts, lambda connection, _: found.update(lines_on(connection, self._fleet))
-        ) as jobs:
-            deadline = time.monotonic() + HOSTS_TIMEOUT_S
-            while jobs.busy and time.monotonic() < deadline and not self._interrupt.count:
-                time.sleep(POLL_S)
-            jobs.end(TOO_LATE)
-        for row in jobs.rows.values():
-            if row.state == FAILED:
-                why = f"its host {row.host} cannot be asked: {row.step}"
-                found |= unknown([robot for robot in row.robots if robot not in found], why)
-        return found
+        return {robot: self._lines(robot) for robot in self._fleet.ids}
 
     def _feed(self, now_ns: int, key: str, message: Message) -> None:
         self._checks.feed(now_ns, key, message)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from handfast.agent.common.errors import BAD_INPUT
-from handfast.agent.fleet.hosts import PRIORITIES, HostSection
+from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.security.identity import of_robot, of_router
@@ -45,14 +45,12 @@ class Needs:
             where a connection is locked (`bridges.mavlink.transport.transport`).
         others_code: runs a plugin: nobody knows what that needs of memory.
         others_hardware: runs a plant of others, which may be on a bus of another kind, or in ``/sys``.
-        realtime: asks for SCHED_FIFO (`agent.runtime.realtime`).
     """
 
     writes: Sequence[str] = ()
     devices: bool = False
     others_code: bool = False
     others_hardware: bool = False
-    realtime: bool = False
 
 
 def filters(needs: Needs) -> Iterator[str]:
@@ -65,8 +63,7 @@ def filters(needs: Needs) -> Iterator[str]:
     families += ["AF_CAN", "AF_BLUETOOTH"] if needs.others_hardware else []
     yield f"RestrictAddressFamilies={' '.join(families)}"
     yield "RestrictNamespaces=yes"
-    if not needs.realtime:
-        yield "RestrictRealtime=yes"
+    yield "RestrictRealtime=yes"
     yield "RestrictSUIDSGID=yes"
     yield "LockPersonality=yes"
     yield "KeyringMode=private"
@@ -218,8 +215,7 @@ def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
         reads.append(f"{places.keys}/{of_robot(name, robot).common_name}.crt")
     words, needs = arguments(fleet, robot, role, places), _needs(fleet, robot, role, places)
     unit = unit_name(name, robot, role)
-    limits = _realtime_limits(fleet) if needs.realtime else ()
-    return "\n".join(_lines(unit, f"{name}: robot {robot}'s {role}", role, words, reads, needs, limits))
+    return "\n".join(_lines(unit, f"{name}: robot {robot}'s {role}", role, words, reads, needs))
 
 
 def units(fleet: Fleet, robot: int, places: Places) -> dict[str, str]:
@@ -244,27 +240,17 @@ def router_units(fleet: Fleet, host: HostSection, places: Places) -> dict[str, s
     return {unit: "\n".join(_lines(unit, f"{name}: router {router.number}", ROUTER, words, reads, Needs()))}
 
 
-def _realtime_limits(fleet: Fleet) -> Sequence[str]:
-    """What its process may ask for. It asks itself (`agent.runtime.realtime`): where a user's systemd may not
-    grant a CPUSchedulingPolicy= it does not start the unit at all (214/SETSCHEDULER), while of limits above
-    its own it gives as much as it has; and an interpreter that starts need not run before everything else."""
-    return f"LimitRTPRIO={PRIORITIES['plant']}", "LimitMEMLOCK=infinity"
-
-
 def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:
     kind = fleet.robot(robot).kind
     if role == RECORDER:
         return Needs([f"{places.recordings}/robot-{robot}"])
     if role == "agent":
-        return Needs(
-            [places.orders], others_code=fleet.control.law is not None, realtime=fleet.process.realtime
-        )
+        return Needs([places.orders], others_code=fleet.control.law is not None)
     return Needs(
         [places.orders, f"~/{BRIDGE_STATE}" if kind.vehicle else places.state],
         devices=kind.vehicle,
         others_code=kind.is_plugin,
         others_hardware=kind.is_plugin,
-        realtime=fleet.process.realtime,
     )
 
 
@@ -275,7 +261,6 @@ def _lines(
     words: Sequence[str],
     reads: Sequence[str],
     needs: Needs,
-    limits: Sequence[str] = (),
 ) -> Iterator[str]:
     # deploy.hosts.remote_program reads this again: it tells whether what runs is what is meant, and has read
     # what is there; which folders there must be.
@@ -305,7 +290,6 @@ def _lines(
     yield f"TasksMax={TASKS_MAX}"
     yield f"LimitNOFILE={FILES_MAX}"
     yield "LimitCORE=0"
-    yield from limits
     yield "OOMPolicy=stop"
     yield "UMask=0077"
     yield f"SyslogIdentifier={identifier(unit)}"

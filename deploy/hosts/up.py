@@ -28,7 +28,7 @@ from handfast.deploy.console.sources import plugin_modules
 from handfast.deploy.console.wording import robots as robots_words
 from handfast.deploy.console.wording import some
 from handfast.deploy.drive.preconditions import clock, older_mission, why
-from handfast.deploy.hosts import preflight, systemd_units
+from handfast.deploy.hosts import systemd_units
 from handfast.deploy.hosts.arrivals import Arrivals
 from handfast.deploy.hosts.bundle import program_archive
 from handfast.deploy.hosts.certificates import AnotherAuthorityError, HostKeys
@@ -347,10 +347,6 @@ class BringUp:
         prepared = prepare(connection, self.fleet, self._text, self._program, say, self._keys, before_changes)
         self.warnings += [f"{row.host}: {warning}" for warning in prepared.warnings]
         what = self._start(row, connection, prepared)
-        if self.fleet.process.realtime:
-            row.step = "looking what real time was granted"
-            refused = preflight.warnings(preflight.lines_on(connection, self.fleet))
-            self.warnings += [f"{row.host}: {warning}" for warning in refused]
         row.step = "looking for what is left"
         self.warnings += [f"{row.host}: {warning}" for warning in self._left_over(connection, prepared)]
         row.done(f"up, {what}")

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from handfast.agent.control.hand import Pose
-from handfast.agent.runtime.realtime_granted import Granted
 from handfast.deploy.faults.process_actions import Action, Process
 from handfast.deploy.processes.attributes import words_of
 from handfast.deploy.processes.forking import UNSEEN, ForkServer
@@ -228,10 +227,6 @@ class FleetProcesses(Protocol):
 
     def carry_out(self, action: Action, pose: Pose | None) -> bool:
         """Does what a rule orders; False when nothing was done. `pose`: where the robot's body was seen."""
-        ...
-
-    def granted(self) -> Mapping[Process, Granted | None]:
-        """What processes have been granted of real time, of those that can be looked at from here."""
         ...
 
     def resume_all(self) -> None:

@@ -15,7 +15,6 @@ from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.key_expressions import ROLES
 from handfast.agent.runtime.order_store import order_file
 from handfast.agent.runtime.process import log_name
-from handfast.agent.runtime.realtime_granted import Granted, look
 from handfast.deploy.check.network import sharing
 from handfast.deploy.console.wording import robots
 from handfast.deploy.faults.process_actions import Action, Process
@@ -193,16 +192,6 @@ class Processes:
         else:
             child.resume()
         return True
-
-    def granted(self) -> dict[Process, Granted | None]:
-        """What its agents and plants have been granted of real time that run now, by looking at them."""
-        pids = {
-            process: self._children[self._shares.get(process, process)].pid
-            for process in self._wanted
-            if self.up(*process)
-        }
-        looked = {pid: look(pid) for pid in set(pids.values())}
-        return {process: looked[pid] for process, pid in pids.items()}
 
     def resume_all(self) -> None:
         """Lets go on what rules have paused."""

@@ -16,7 +16,6 @@ from typing import Final
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import PlantState
-from handfast.agent.runtime.realtime_granted import ONLINE, cpu_list
 from handfast.deploy.check.capacity import Machine, is_looked_at, is_refused, overload
 
 WINDOWS: Final = 6
@@ -57,32 +56,13 @@ def measured_for(fleet: Fleet) -> Machine:
     windows were slow, a second later some were not, and the fastest of three looks were the same within 1.09
     times. A fleet that is carried waits for no second look. Nothing is kept from command to command: a file
     would have to know when a machine has become another, as one that was moved or given fewer processors."""
-    found = _used_by(fleet, measured())
+    found = measured()
     for _ in range(LOOKS - 1):
         if not is_refused(fleet, found):
             break
         time.sleep(PAUSE_S)
-        found = max(found, _used_by(fleet, measured()), key=lambda machine: machine.speed)
+        found = max(found, measured(), key=lambda machine: machine.speed)
     return found
-
-
-def _used_by(fleet: Fleet, machine: Machine) -> Machine:
-    """The machine as robots use it that run on cores of their own, which this process may not use."""
-    process = fleet.process
-    there = set(process.cpus) & set(online()) if process.realtime else set()
-    if not there:  # or what they ask for is refused
-        return machine
-    together = len(there | os.sched_getaffinity(0))
-    return machine._replace(
-        cores=min(max(machine.cores, together), _quota(_CGROUPS, _OWN_CGROUP)), for_robots=float(len(there))
-    )
-
-
-def online() -> tuple[int, ...]:
-    """The processors of this machine; those that this process may use, where it does not tell."""
-    with suppress(OSError, ValueError):
-        return cpu_list(ONLINE.read_text())
-    return tuple(os.sched_getaffinity(0))
 
 
 def _took_s(here: int, allowed: Collection[int]) -> float:

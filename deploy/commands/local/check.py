@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from handfast.agent.common.errors import BAD_INPUT, PASSED
@@ -32,20 +32,14 @@ def _check(options: argparse.Namespace) -> int:
     return BAD_INPUT if any(finding.level == "error" for finding in findings) else PASSED
 
 
-def _of_this_machine(fleet: Fleet) -> Sequence[Finding]:
+def _of_this_machine(fleet: Fleet) -> Iterable[Finding]:
     """Whether this machine carries a fleet that `handfast run` would have on it, and has the cores for it."""
     from handfast.deploy.check.capacity import check_capacity, is_looked_at
-    from handfast.deploy.check.realtime import check_cores
 
     if any(robot.host for robot in fleet.robots):
         return ()
-    findings: list[Finding] = []
-    if fleet.process.realtime and fleet.process.cpus:
-        from handfast.deploy.processes.machine import online
+    if not is_looked_at(fleet):
+        return ()
+    from handfast.deploy.processes.machine import measured_for
 
-        findings += check_cores(fleet, online())
-    if is_looked_at(fleet):
-        from handfast.deploy.processes.machine import measured_for
-
-        findings += check_capacity(fleet, measured_for(fleet))
-    return findings
+    return check_capacity(fleet, measured_for(fleet))

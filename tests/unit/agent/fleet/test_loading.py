@@ -459,7 +459,8 @@ def test_removed_field_says_what_replaced_it(name: str) -> None:
     table, _, field = name.rpartition(".")
     header = f"[[{table}]]" if table == "faults.rule" else f"[{table.replace('robot', 'robot_defaults')}]"
     text = SMALL.replace("[robot_defaults]\n", "")
-    text = f"{text.replace('mass_kg = 8', '')}\n{header}\n{field} = 1\n"
+    header = header if table else f"[{name}]"
+    text = f"{text.replace('mass_kg = 8', '')}\n{header}\n{field if table else 'x'} = 1\n"
     why = f"is no field any more: {REPLACED[name]}"
     with pytest.raises(FleetError) as caught:
         parse_fleet(text, source="small")

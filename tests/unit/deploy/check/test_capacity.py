@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
@@ -40,16 +39,6 @@ def test_small_fleets_are_never_too_many() -> None:
     assert overload(fleet(ROBOTS_MIN - 1), slow) == ""
     assert list(check_capacity(fleet(ROBOTS_MIN - 1), slow)) == []
     assert overload(fleet(ROBOTS_MIN), slow) != ""
-
-
-def test_a_small_one_in_real_time_is_looked_at_as_a_large_one_is() -> None:
-    """It would leave nothing to the command that has to stop it."""
-    few = replace(fleet(ROBOTS_MIN - 1), process=ProcessSection(realtime=True))
-    slow = Machine(1.0, 0.1)
-    assert "need about" in overload(few, slow)
-    (finding,) = check_capacity(few, slow)
-    assert finding.level == "warning"
-    assert overload(few, Machine(64.0, 1.0)) == ""
 
 
 def test_a_fleet_that_is_too_large_is_told_what_fits_and_that_fits() -> None:
@@ -120,15 +109,3 @@ def test_check_warns_of_what_run_refuses_and_says_what_fits_otherwise() -> None:
     (finding,) = check_capacity(fleet(24), Machine(8.0, 1.0))
     assert finding.level == "info"
     assert finding.message.startswith("this machine (8 cores) carries about ")
-
-
-def test_cores_that_robots_may_not_use_carry_none() -> None:
-    many = fleet(24)
-    pinned = replace(many, process=ProcessSection(realtime=True, cpus=(1,)))
-    one = Machine(2.0, 1.0, 1.0)
-    assert carried(pinned, one) < carried(pinned, LAPTOP)
-    assert carried(pinned, Machine(2.0, 1.0, 2.0)) == carried(pinned, LAPTOP)
-    enough = used(cost_of(many), LAPTOP) / FULL
-    tight = Machine(2.0, 1.05 * enough, 1.0)
-    assert not is_refused(many, tight._replace(for_robots=2.0))
-    assert "(2 cores, 1 of them in process.cpus)" in overload(pinned, tight)

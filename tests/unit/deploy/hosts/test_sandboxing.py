@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from handfast.agent.fleet.hosts import ProcessSection
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.messages.key_expressions import ROLES
 from handfast.deploy.hosts import remote_program, systemd_units
 from handfast.deploy.hosts.systemd_units import Needs, Places, filters, namespaces, roles, unit
 from tests.unit.deploy.hosts.test_systemd_units import fleet, settings
@@ -86,18 +84,3 @@ def test_what_need_not_work_can_be_taken_out_and_the_rest_stays() -> None:
     assert not {line.partition("=")[0] for line in tried} & settings(found).keys()
     assert set(filters(Needs())) <= set(found.splitlines())
     assert len(text.splitlines()) - len(found.splitlines()) == len(tried) + 1
-
-
-def test_only_who_asks_for_real_time_may_have_it() -> None:
-    """Its recorder has no use for it."""
-    asking = replace(fleet(), process=ProcessSection(realtime=True))
-    for robot in (SIMULATED, BRIDGED):
-        for role in roles(asking):
-            plain, found = said(robot, role), said(robot, role, asking)
-            assert plain["RestrictRealtime"] == "yes"
-            assert "LimitRTPRIO" not in plain
-            if role not in ROLES:
-                assert found == plain
-                continue
-            del plain["RestrictRealtime"]
-            assert found == plain | {"LimitRTPRIO": "42", "LimitMEMLOCK": "infinity"}

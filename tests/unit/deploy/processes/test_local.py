@@ -280,21 +280,3 @@ def test_who_shares_a_process_starts_after_the_agents_and_is_known_by_its_own_na
     assert [(child.name, how) for child, how in made.deaths()] == [(pool.name, "killed by SIGKILL")]
     assert not made.up(17, "plant")
     assert made.up(17, "agent")
-
-
-def test_processes_are_looked_at_that_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    looked: list[int] = []
-
-    def look(pid: int) -> str:
-        looked.append(pid)
-        return f"what {pid} has"
-
-    monkeypatch.setattr(local, "look", look)
-    made = running()
-    for pid, child in enumerate(started):
-        child.pid = pid
-    assert made.carry_out(Action(1.0, 1, "plant", "kill", "rule"), POSE)
-    pids = {(child.robot, child.role): child.pid for child in started if child.role in ROLES}
-    del pids[1, "plant"]
-    assert made.granted() == {process: f"what {pid} has" for process, pid in pids.items()}
-    assert sorted(looked) == sorted(pids.values())

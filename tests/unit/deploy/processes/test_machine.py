@@ -6,18 +6,15 @@ import os
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 
 import pytest
 
-from handfast.agent.fleet.hosts import ProcessSection
-from handfast.agent.fleet.loading import load_fleet, parse_fleet
+from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.formation.geometry import resolved
 from handfast.deploy.analysis.shapes import lattice
 from handfast.deploy.check.capacity import FULL, Machine, cost_of, used
-from handfast.deploy.console.data_files import FLEETS
 from handfast.deploy.processes import machine
 from handfast.deploy.processes.machine import LOOKS, ROUND_S, WINDOWS, measured, measured_for, overload_here
 
@@ -101,22 +98,3 @@ def test_the_program_beside_hears_no_ctrl_c_and_ends_with_whoever_started_it() -
     while Path(f"/proc/{pid}").exists() and "State:\tZ" not in Path(f"/proc/{pid}/status").read_text():
         assert time.monotonic() < until, "it goes on"
         time.sleep(0.01)
-
-
-def test_robots_on_cores_of_their_own_have_no_more_than_those(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And these count though this process may not use them itself."""
-    monkeypatch.setattr(machine, "measured", lambda: Machine(1.0, 9.0))
-    monkeypatch.setattr(machine, "online", lambda: (0, 1, 2))
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
-    monkeypatch.setattr(machine, "_quota", lambda *_: inf)
-    delta = load_fleet(FLEETS / "delta.toml")
-
-    def found(*cpus: int, realtime: bool = True) -> Machine:
-        return measured_for(replace(delta, process=ProcessSection(realtime=realtime, cpus=cpus)))
-
-    assert found(1) == Machine(2.0, 9.0, 1.0)
-    assert found(1, 2) == Machine(3.0, 9.0, 2.0)
-    assert found(0, 7) == Machine(1.0, 9.0, 1.0)
-    assert found() == found(7) == found(1, realtime=False) == Machine(1.0, 9.0), "or it is refused to them"
-    monkeypatch.setattr(machine, "_quota", lambda *_: 1.5)
-    assert found(1, 2) == Machine(1.5, 9.0, 2.0)
