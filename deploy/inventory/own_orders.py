@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import sys
 import time
-from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
 from typing import Final
@@ -45,24 +44,6 @@ def out_folder(out: str | Path | None, name: str, above: str = "runs") -> Path:
     base = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     names = chain([base], (f"{base}-{number}" for number in count(2)))
     return next(path for each in names if not (path := Path(above) / each).exists())
-
-
-def refuse_unwritable(out: Path) -> None:
-    """Refuses a folder that can be neither made nor written into, and leaves none; raises `InputError`."""
-    path = out.absolute()
-    new = [each for each in (path, *path.parents) if not os.path.lexists(each)]
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        writable = os.access(path, os.W_OK | os.X_OK)
-    except OSError as error:
-        why = (error.strerror or str(error)).lower()
-        raise InputError(f"cannot make the folder {out}: {why}: name another one with --out") from None
-    finally:
-        for each in new:
-            with suppress(OSError):
-                each.rmdir()
-    if not writable:
-        raise InputError(f"cannot write into {out}: name another folder with --out")
 
 
 def refuse_full(out: Path) -> None:

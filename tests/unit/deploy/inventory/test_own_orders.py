@@ -22,7 +22,6 @@ from handfast.deploy.inventory.own_orders import (
     cache_folder,
     out_folder,
     refuse_full,
-    refuse_unwritable,
 )
 
 HOSTS = """
@@ -150,18 +149,3 @@ def test_caches_are_where_the_user_keeps_them(monkeypatch: pytest.MonkeyPatch) -
     assert cache_folder("wheels") == Path("/elsewhere/handfast/wheels")
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert cache_folder("wheels") == Path.home() / ".cache/handfast/wheels"
-
-
-def test_a_folder_that_cannot_be_written_into_is_refused_and_nothing_is_made(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
-    for out in ("new", "new/below", "."):
-        refuse_unwritable(tmp_path / out)
-    for out in ("file", "file/below", "gone/below", "n" * 300):
-        with pytest.raises(InputError, match=rf"^cannot make the folder {tmp_path}/{out}: .*: name another"):
-            refuse_unwritable(tmp_path / out)
-    with pytest.raises(InputError, match=r"^cannot make the folder /proc/x: .*: name"):
-        refuse_unwritable(Path("/proc/x"))
-    with pytest.raises(InputError, match=r"^cannot write into /proc/sys: name another folder"):
-        refuse_unwritable(Path("/proc/sys"))  # not even root can
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "gone"]
