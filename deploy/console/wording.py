@@ -33,6 +33,12 @@ def robots(ids: Iterable[Any]) -> str:
     return f"robot{'s' * (len(shown) != 1)} {some(shown)}"
 
 
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return each row as a line whose columns are as wide as their widest text."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
 def counted(name: str, numbers: Iterable[Any]) -> str:
     """Numbered things as a subject: 'leg 2 is' or 'legs 2, 3 are'."""
     shown = list(numbers)

@@ -25,7 +25,7 @@ from handfast.agent.transport.bus import Bus
 from handfast.bridges.mavlink.ardupilot.constants import AVOID_ENABLE, RIGHT_FAILSAFES
 from handfast.bridges.mavlink.session.requests import AUDITED
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.console.wording import robots
+from handfast.deploy.console.wording import aligned, robots
 from handfast.deploy.drive.readiness import BLOCKING, OK, WARNING, Line, VehicleChecks, sentences
 from handfast.deploy.processes.local import VEHICLE, Processes
 from handfast.deploy.processes.placement import Vehicle
@@ -202,12 +202,7 @@ def _table(robot: int, lines: Sequence[Line]) -> Table:
 
 def columns(lines: Sequence[Line]) -> list[str]:
     """The lines as text in columns, with their headings."""
-    rows = [HEADINGS, *lines]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
-    return [
-        "  " + "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    return [f"  {row}" for row in aligned([HEADINGS, *lines])]
 
 
 def summary(found: Found) -> str:

@@ -42,6 +42,7 @@ from handfast.deploy.console.arguments import (
     load_unresolved,
     place_for,
 )
+from handfast.deploy.console.wording import aligned
 from handfast.deploy.inventory.certificate_authority import Authority, AuthorityError, Issued
 from handfast.deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
@@ -325,7 +326,7 @@ def _show(authority: Authority, now_s: float) -> None:
         rows.append(
             (*name.split(".")[1:], _date(now_s, entry.days_left(now_s)), state(entry, authority, now_s))
         )
-    _print_table(rows)
+    print(*aligned(rows), sep="\n")
 
 
 def _show_own(own: Credentials, now_s: float) -> None:
@@ -338,23 +339,11 @@ def _show_own(own: Credentials, now_s: float) -> None:
         ends = "valid"
     else:
         ends = f"expires in {int(days)} days: --request, --sign where the authority is, --install"
-    _print_table(
-        [
-            (
-                "authority",
-                short(own.authority_fingerprint),
-                _date(now_s, of_authority),
-                "on another computer",
-            ),
-            (own.identity.role, own.identity.name, _date(now_s, days), ends),
-        ]
-    )
-
-
-def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
-    widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    for row in rows:
-        print("  ".join(text.ljust(width) for text, width in zip(row, [*widths, 0], strict=True)).rstrip())
+    rows = [
+        ("authority", short(own.authority_fingerprint), _date(now_s, of_authority), "on another computer"),
+        (own.identity.role, own.identity.name, _date(now_s, days), ends),
+    ]
+    print(*aligned(rows), sep="\n")
 
 
 def _ending(days: float) -> str:

@@ -18,7 +18,7 @@ from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.deploy.console.arguments import InputError, describe, host_argument, refuse_hosts
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.console.wording import FEW, some
+from handfast.deploy.console.wording import FEW, aligned, some
 from handfast.deploy.inventory.known_fleets import MEANING, handled
 
 if TYPE_CHECKING:
@@ -341,7 +341,5 @@ def fleet_table(rows: Sequence[dict[str, Any]]) -> list[str]:
         )
         for row in rows
     ]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = ["  ".join(map(str.ljust, each, widths)).rstrip() for each in cells]
     downs = [f"take {row['fleet']} down with: {row['down']}" for row in rows if row["down"] is not None]
-    return list(map(printable, lines + downs))
+    return list(map(printable, aligned(cells) + downs))
