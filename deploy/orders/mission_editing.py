@@ -188,19 +188,7 @@ def _join(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
         if end in ends[:k]:
             raise OrderError(f"robot {robot} is to share an edge with robot {end} twice")
     anchors = [plan.offsets[end] for end in ends]
-    place, given = order.offset_m, order.distance_m
-    if isinstance(given, tuple):
-        if len(given) != len(ends):
-            raise OrderError(f"distance_m has {len(given)} distances for {len(ends)} edges")
-        distances = list(given)
-    elif given is not None:
-        distances = [given] * len(ends)
-    elif place is not None:
-        distances = [dist(place, anchor) for anchor in anchors]
-    elif plan.edges:
-        distances = [sum(plan.edges.values()) / len(plan.edges)] * len(ends)
-    else:
-        raise OrderError(f"where robot {robot} is to be is not known: give offset_m or distance_m")
+    place, distances = order.offset_m, _edge_distances(order, anchors, plan)
     if place is None:
         if not ends:
             raise OrderError(f"where robot {robot} is to be is not known without edges: give offset_m")
@@ -220,6 +208,22 @@ def _join(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
     joined = f"{'edges' if len(ends) > 1 else 'edge'} to {_listed(ends)}" if ends else "no edges"
     offsets = {**plan.offsets, robot: place}
     return _Change(offsets=offsets, edges=edges, note=f"robot {robot} joins ({joined})")
+
+
+def _edge_distances(order: OrderSection, anchors: Sequence[Vector], plan: Plan) -> list[float]:
+    """Return the lengths of the edges of a robot that joins, to robots with places at `anchors`."""
+    place, given = order.offset_m, order.distance_m
+    if isinstance(given, tuple):
+        if len(given) != len(anchors):
+            raise OrderError(f"distance_m has {len(given)} distances for {len(anchors)} edges")
+        return list(given)
+    if given is not None:
+        return [given] * len(anchors)
+    if place is not None:
+        return [dist(place, anchor) for anchor in anchors]
+    if plan.edges:
+        return [sum(plan.edges.values()) / len(plan.edges)] * len(anchors)
+    raise OrderError(f"where robot {order.robot} is to be is not known: give offset_m or distance_m")
 
 
 def _refuse_by_ear(order: OrderSection, plan: Plan, heard: Collection[int]) -> None:
