@@ -72,35 +72,25 @@ class Standstill:
 
     def _repeat(self, stop: Stop, others: Stopping) -> Sequence[Way]:
         """Repeat the stop until all stand or time is up; return the other ways that were used."""
-        fleet_state, processes = self._fleet_state, self._fleet_state.processes
-        ways: Sequence[Way] | None = None
+        fleet_state = self._fleet_state
+        ways: Sequence[Way] = ()
+        asked_ways = False
         begun = time.monotonic()
         again, deadline = begun + self._timing.stop_again_s, begun + self._timeout_s
         last = max(deadline, begun + WAYS_S)
-        waiting = [
-            robot
-            for robot in fleet_state.fleet.ids
-            if all(processes.up(robot, role) for role in key_expressions.ROLES)
-        ]
+        waiting = self._running()
         while (now := time.monotonic()) < last and self._interrupt.count < 2:
-            if now >= deadline and not any(way.busy for way in ways or ()):
+            if now >= deadline and not any(way.busy for way in ways):
                 break
             self._collect()
             fleet_state.pass_on()
             late = now >= begun + LATE_S
-            if ways is None and (self._hurried or (late and not self._all_acknowledged(waiting, stop))):
-                ways = self._make_ways()
-                for way in ways:
-                    way.send(stop)
-            for way in ways or ():
+            if not asked_ways and (self._hurried or (late and not self._all_acknowledged(waiting, stop))):
+                asked_ways, ways = True, self._sent_by_ways(stop)
+            for way in ways:
                 way.collect(others)
             if late:
-                # Stop waiting for robots that are already known, through another channel, to be braking.
-                waiting = [
-                    robot
-                    for robot in waiting
-                    if self._has_acknowledged(robot, stop) or not others.stands_by(robot)
-                ]
+                waiting = self._awaited(waiting, stop, others)
             if self._at_rest(waiting, stop):
                 break
             if now >= again:
@@ -108,7 +98,29 @@ class Standstill:
                 if not self._all_know(waiting, stop):
                     fleet_state.say(stop)
             time.sleep(LOOK_S)
-        return ways or ()
+        return ways
+
+    def _running(self) -> list[int]:
+        """Return the robots of which all processes run."""
+        processes = self._fleet_state.processes
+        return [
+            robot
+            for robot in self._fleet_state.fleet.ids
+            if all(processes.up(robot, role) for role in key_expressions.ROLES)
+        ]
+
+    def _awaited(self, robots: Sequence[int], stop: Stop, others: Stopping) -> list[int]:
+        """Return the robots without those already known, through another channel only, to be braking."""
+        return [
+            robot for robot in robots if self._has_acknowledged(robot, stop) or not others.stands_by(robot)
+        ]
+
+    def _sent_by_ways(self, stop: Stop) -> Sequence[Way]:
+        """Make the other ways and send the stop by each."""
+        ways = self._make_ways()
+        for way in ways:
+            way.send(stop)
+        return ways
 
     def _has_acknowledged(self, robot: int, stop: Stop) -> bool:
         return has_acknowledged(self._fleet_state.watch.statuses.get(robot), stop)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot, inf, isinf
 from typing import Final, TypeVar
@@ -25,6 +25,7 @@ from handfast.agent.messages.types import (
     Message,
     Mission,
     PlantState,
+    Removed,
     Resume,
     Status,
     StatusText,
@@ -48,6 +49,15 @@ SILENT_STATUSES: Final = 4.0
 silent."""
 PLANT_SILENT_NS: Final = NS_PER_S
 """What a plant measured holds no longer than this, once others have measured since."""
+
+_AGENT_KEYS: Final[Mapping[type, Callable[[str, int], str]]] = {
+    HandState: key_expressions.hand,
+    Status: key_expressions.status,
+    Beacon: key_expressions.beacon,
+    StatusText: key_expressions.status_texts,
+    Checks: key_expressions.checks,
+}
+"""Key expression of each message that an agent publishes, by fleet and robot."""
 
 
 @dataclass
@@ -133,34 +143,41 @@ class Watch:
 
     def feed(self, key: str, message: Message) -> None:
         """Takes a message that came on `key`; one on another robot's key, or an old one, is ignored."""
-        name = self._fleet.fleet.name
-        if type(message) is HandState and key == key_expressions.hand(name, message.robot):
-            if _keep_newest(self.hands, message):
-                self._heard.add(message.robot)
-        elif type(message) is Status and key == key_expressions.status(name, message.robot):
-            if _keep_newest(self.statuses, message):
-                self._heard.add(message.robot)
-                self._news.state(message.robot, message.state, message.reason)
-        elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
-            self._silent.hear(message)
-            self._heard.add(message.robot)
-        elif type(message) is PlantState:
+        if isinstance(message, Faults):
+            self._held.feed(key, message)
+        elif isinstance(message, Mission | Stop | Resume):
+            self._follow(key, message)
+        elif isinstance(message, PlantState):
             if self._plant_keys.get(key) == message.robot:
                 _keep_newest(self._plants, message)
             if message.note and message.healthy and message.obeying:
                 self._news.remark(message.robot, message.note)
-        elif type(message) is StatusText:
-            if key == key_expressions.status_texts(name, message.robot) and message.severity in GRAVE:
-                text = f"its vehicle says ({message.severity}): {message.text}"
-                self._news.said(message.robot, text, message.time_ns)
-        elif type(message) is Faults:
-            self._held.feed(key, message)
-        elif type(message) is Checks and key == key_expressions.checks(name, message.robot):
+        elif (
+            isinstance(message, HandState | Status | Beacon | StatusText | Checks)
+            and _AGENT_KEYS[type(message)](self._fleet.fleet.name, message.robot) == key
+        ):
+            self._hear(message)
+
+    def _hear(self, message: HandState | Status | Beacon | StatusText | Checks) -> None:
+        """Take a message that an agent published on its own key."""
+        robot = message.robot
+        if isinstance(message, HandState):
+            if _keep_newest(self.hands, message):
+                self._heard.add(robot)
+        elif isinstance(message, Status):
+            if _keep_newest(self.statuses, message):
+                self._heard.add(robot)
+                self._news.state(robot, message.state, message.reason)
+        elif isinstance(message, Beacon):
+            self._silent.hear(message)
+            self._heard.add(robot)
+        elif isinstance(message, Checks):
             found = [Line._make(line) for line in message.lines if line.name == BATTERY]
             if found:
-                self._batteries[message.robot] = found[0]
-        elif type(message) is Mission or type(message) is Stop or type(message) is Resume:
-            self._follow(key, message)
+                self._batteries[robot] = found[0]
+        elif message.severity in GRAVE:
+            text = f"its vehicle says ({message.severity}): {message.text}"
+            self._news.said(robot, text, message.time_ns)
 
     def _follow(self, key: str, message: Mission | Stop | Resume) -> None:
         if self._known.hear(key, message):
@@ -207,59 +224,57 @@ class Watch:
         """The fleet now; `time_s` is the fleet time, None before the epoch is set."""
         mission = self._known.mission
         duration_s = self._fleet.fleet.duration_s if mission is None else mission.duration_ns / NS_PER_S
-        picture = Picture(time_s, duration_s, faults=self._faults(time_s))
+        robots: dict[int, RobotPicture] = {}
+        picture = Picture(time_s, duration_s, robots=robots, faults=self._faults(time_s))
         now_ns = self._now_ns(time_s)
         removed = mission.removed if mission else ()
-        gone = {
-            robot
-            for robot, since_ns in removed
-            if robot not in self.hands or self.hands[robot].time_ns <= since_ns
-        }
+        gone = self._gone(removed)
         silent_s = {} if time_s is None else self._silent_s(time_s)
         hands = at_once(self.hands)
         near = nearest_of_each({robot: hands[robot] for robot in hands.keys() - gone}, silent_s)
         picture.nearest = closest(near)
-        errors: dict[int, float] = {}
-        least_m = inf
-        for robot, here in hands.items():
-            for edge in self._reference.edges(robot, now_ns):
-                least_m = min(least_m, edge.distance)
-                there = hands.get(edge.other)
-                if there is None or edge.weight < 1.0 or (robot in silent_s and edge.other in silent_s):
-                    continue
-                distance = hypot(here.x - there.x, here.y - there.y)
-                error = abs(distance - edge.distance)
-                errors[robot] = max(error, errors.get(robot, 0.0))
-                pair = min(robot, edge.other), max(robot, edge.other)
-                if picture.worst is None or error > picture.worst[0]:
-                    picture.worst = error, *pair
+        edges = {robot: self._reference.edges(robot, now_ns) for robot in hands}
+        errors = edge_errors(hands, edges, silent_s)
+        # The last value of a key stays, so each robot keeps its largest error.
+        worst = {robot: error for error, robot, _ in sorted(errors)}
+        if errors:
+            error, robot, other = max(errors, key=lambda each: each[0])
+            picture.worst = error, min(robot, other), max(robot, other)
         if time_s is not None:
             picture.silent = self._silent.bodies(removed)
         speeds = self._speeds()
-        picture.robots = {
-            robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
-        }
-        for robot, about in picture.robots.items():
+        for robot in self._fleet.ids:
+            about = self._robot(self.statuses.get(robot), worst.get(robot))
             if robot in silent_s:
                 carried = ", and its body has been removed" if robot in gone else ""
                 why = f"has said nothing for {silent_s[robot]:.0f} s{carried}"
-                about = picture.robots[robot] = RobotPicture(
+                about = RobotPicture(
                     "silent", why, None, None, None, about.overruns, silent_s=silent_s[robot]
                 )
             else:
                 about.nearest, about.speed = near.get(robot), speeds.get(robot)
-                place = self._reference.motion(robot, now_ns) if robot in self.hands else None
-                if place is not None:
-                    about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
+                about.off_m = self._off_m(robot, now_ns)
             about.battery = self._batteries.get(robot)
+            robots[robot] = about
+        least_m = min((edge.distance for each in edges.values() for edge in each), default=inf)
         if time_s is not None and least_m < inf:
-            driving = {
-                robot: about.off_m
-                for robot, about in picture.robots.items()
-                if about.off_m is not None and about.state in DRIVING_NAMES
-            }
-            picture.lagging = self._lagging.look(time_s, driving, AT_PLACE * least_m)
+            picture.lagging = self._lagging.look(time_s, _driving_off_m(robots), AT_PLACE * least_m)
         return picture
+
+    def _gone(self, removed: Iterable[Removed]) -> set[int]:
+        """Return the removed robots that have not sent a hand state since their removal."""
+        return {
+            robot
+            for robot, since_ns in removed
+            if robot not in self.hands or self.hands[robot].time_ns <= since_ns
+        }
+
+    def _off_m(self, robot: int, now_ns: int) -> float | None:
+        """Return the distance (m) of a robot's last hand from its place; None without either."""
+        place = self._reference.motion(robot, now_ns) if robot in self.hands else None
+        if place is None:
+            return None
+        return hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
 
     def _speeds(self) -> dict[int, float]:
         """Speeds (m/s) of the bodies of which something was heard lately."""
@@ -329,6 +344,33 @@ def at_once(hands: Mapping[int, HandState]) -> dict[int, HandState]:
         moved = hand._replace(x=hand.x + on_s * hand.vx, y=hand.y + on_s * hand.vy) if on_s > 0.0 else hand
         found[robot] = moved
     return found
+
+
+def _driving_off_m(robots: Mapping[int, RobotPicture]) -> dict[int, float]:
+    """Return the distances (m) from their places of the robots that drive."""
+    return {
+        robot: about.off_m
+        for robot, about in robots.items()
+        if about.off_m is not None and about.state in DRIVING_NAMES
+    }
+
+
+def edge_errors(
+    hands: Mapping[int, HandState], edges: Mapping[int, Sequence[Edge]], silent: Container[int]
+) -> list[tuple[float, int, int]]:
+    """Return the distance error (m) of each edge of full weight as each of its robots has it, and its ends.
+
+    Args:
+        silent: robots that are not heard: an edge between two of them has no error.
+    """
+    return [
+        (abs(hypot(here.x - there.x, here.y - there.y) - edge.distance), robot, edge.other)
+        for robot, here in hands.items()
+        for edge in edges[robot]
+        if (there := hands.get(edge.other)) is not None
+        and edge.weight >= 1.0
+        and not (robot in silent and edge.other in silent)
+    ]
 
 
 def nearest_of_each(hands: Mapping[int, HandState], silent: Container[int]) -> dict[int, tuple[float, int]]:
