@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 from datetime import datetime, timedelta
 from typing import Final
+
+from handfast.deploy.console.arguments import InputError
 
 FORMS: Final = '"10 min", "2 h", 14:30, today, yesterday, "2026-11-20 14:00"'
 _AGO: Final = re.compile(r"(\d{1,9}) ?(s|min|h|d)")
@@ -35,3 +38,18 @@ def point_in_time(text: str, now_s: float) -> float:
         except (ValueError, OverflowError):
             continue
     raise ValueError(f"must be such as {FORMS}, got {text!r}")
+
+
+def time_option(options: argparse.Namespace, name: str, now_s: float) -> float | None:
+    """Return the point in time that the option `name` gives, None without it.
+
+    Raises:
+        InputError: it means no point in time.
+    """
+    text = getattr(options, name)
+    if text is None:
+        return None
+    try:
+        return point_in_time(text, now_s)
+    except ValueError as error:
+        raise InputError(f"--{name} {error}") from None

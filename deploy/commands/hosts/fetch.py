@@ -18,7 +18,7 @@ from handfast.deploy.console.arguments import (
     place_for,
 )
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.console.times import FORMS, point_in_time
+from handfast.deploy.console.times import FORMS, time_option
 from handfast.deploy.inventory.known_fleets import handled
 
 
@@ -56,7 +56,7 @@ def _fetch(options: argparse.Namespace) -> int:
     from handfast.deploy.session.operator_bus import order_opener
 
     now_s = time.time()
-    since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))
+    since_s, until_s = (time_option(options, name, now_s) for name in ("since", "until"))
     if options.all and (since_s is not None or until_s is not None):
         raise InputError("--all takes all that there is: leave out --since and --until")
     if since_s is not None and until_s is not None and since_s >= until_s:
@@ -97,16 +97,6 @@ def _fetch(options: argparse.Namespace) -> int:
     print(f"{merged.messages} messages of {len(merged.robots)} robots in {merged.folder}")
     conclude(merged.result, merged.folder)
     return FAILED if any(row.state == HOST_FAILED for row in rows) else PASSED
-
-
-def _time(options: argparse.Namespace, name: str, now_s: float) -> float | None:
-    text = getattr(options, name)
-    if text is None:
-        return None
-    try:
-        return point_in_time(text, now_s)
-    except ValueError as error:
-        raise InputError(f"--{name} {error}") from None
 
 
 def _ns(seconds: float | None) -> int | None:

@@ -30,7 +30,7 @@ from handfast.deploy.console.arguments import (
     robots_named,
 )
 from handfast.deploy.console.interrupt import Interrupt
-from handfast.deploy.console.times import FORMS, point_in_time
+from handfast.deploy.console.times import FORMS, time_option
 from handfast.deploy.hosts import systemd_units
 from handfast.deploy.inventory import hosts
 from handfast.deploy.inventory.hosts import allow_many, hosts_of, located, robots_on
@@ -84,12 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _logs(options: argparse.Namespace) -> int:
-    since_s = None
-    if options.since is not None:
-        try:
-            since_s = point_in_time(options.since, time.time())
-        except ValueError as error:
-            raise InputError(f"--since {error}") from None
+    since_s = time_option(options, "since", time.time())
     if options.lines is not None and options.lines < 0:
         raise InputError(f"--lines must not be negative, got {options.lines}")
     interrupt = Interrupt()
