@@ -216,6 +216,12 @@ def _compared(
             fine |= texts[robot]
     if not fine.keys().isdisjoint(found["unwritten"]):
         connection.ask("units", wanted=fine)
+    unwanted = tuple(found["unwanted"]) if robots else ()
+    return Prepared(version, texts, stale, router, stale_router, unwanted, _limits(found, about))
+
+
+def _limits(found: Mapping[str, Any], about: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return warnings of what a host does not offer, though robots can be driven there."""
     warnings = []
     if found["open"]:
         warnings.append(
@@ -227,8 +233,7 @@ def _compared(
             f"{about['user']} may not read its journal, `handfast logs` shows nothing of it: "
             f"sudo usermod -aG systemd-journal {about['user']}"
         )
-    unwanted = tuple(found["unwanted"]) if robots else ()
-    return Prepared(version, texts, stale, router, stale_router, unwanted, tuple(warnings))
+    return tuple(warnings)
 
 
 def _refuse(host: HostSection, about: Mapping[str, Any]) -> None:
