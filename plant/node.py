@@ -67,8 +67,7 @@ class Measurement:
         self._plan = plan
         self._changes = -1
         self._noise = (
-            body.position_noise_m, body.position_noise_m, body.heading_noise_rad, body.speed_noise_mps,
-            body.yaw_rate_noise_radps,
+            body.position_noise_m, body.position_noise_m, body.heading_noise_rad, 0.0, 0.0,
         )  # fmt: skip
         self._streams = [
             random_streams.stream(seed, "plant", body.id, quantity)

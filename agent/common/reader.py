@@ -315,6 +315,8 @@ class Reader:
 
     def _unknown(self, model: type, key: str, place: str, value: object = None) -> None:
         former = _ENTRY.sub("", place.removeprefix("--set ")).replace("_defaults.", ".", 1)
+        if (table := former.partition(".")[0]) in ("host", "order"):  # a name or a number stands between
+            former = f"{table}.{key}"
         if former in self._replaced and self.is_recorded:
             return
         if former in self._replaced:

@@ -103,11 +103,8 @@ def speed_max(fleet: Fleet) -> float:
 
 
 def barrier_rate(fleet: Fleet) -> float:
-    """p of the safety filter, 1/s: as given, or the largest up to 3 at which robots can brake by (F4), and at
+    """p of the safety filter, 1/s: the largest up to 3 at which robots can brake by (F4), and at
     which the filter is stable as it is sampled."""
-    given = fleet.avoidance.barrier_rate
-    if given is not None:
-        return given
     return min(_sampled_rate(fleet), fleet.control.max_acceleration / speed_max(fleet))
 
 
@@ -249,7 +246,7 @@ def why_not(fleet: Fleet, step: int) -> str:
         return f"{field} = {waits[field]:g} s is less than two periods of {period_s:g} s"
     if fleet.avoidance.enabled and barrier_rate(fleet) > LOWEST_SHARE * rate * (1.0 + _ROUNDING):
         most = f"at most {LOWEST_SHARE * rate:.3g} 1/s"
-        return f"avoidance.barrier_rate = {barrier_rate(fleet):.3g} 1/s, and {rate:g} Hz carry {most}"
+        return f"the safety filter's rate is {barrier_rate(fleet):.3g} 1/s, and {rate:g} Hz carry {most}"
     if control.law is not None or control.coupling == "penalty":  # how stiff it is, is not known here
         field = "control.law" if control.law is not None else "control.coupling"
         return "" if given is not None else f"of this {field} only control.rate_min_hz says what it carries"

@@ -27,6 +27,7 @@ from handfast.agent.control.peers.lateness import UNSURE_NS
 from handfast.agent.control.peers.peer import Peer
 from handfast.agent.control.peers.peers import Peers
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import FENCE_WARN_M
 from handfast.agent.formation.mission_plan import Plan
 
 AHEAD_S: Final = 0.5
@@ -63,7 +64,7 @@ class Proximity:
         self.clearance: Final = clearance(fleet.avoidance.clearance_m, self._safe)
         self.obstacles: Final[tuple[Boundary, ...]] = obstacles_of(fleet) if self.enabled else ()
         self.fence: Final[Boundary | None] = fence_of(fleet)
-        self.warn: Final = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
+        self.warn: Final = FENCE_WARN_M if fleet.geofence is not None else 0.0
         self.close: tuple[Peer, ...] = ()
         self.distance = self.sensing = self._staying = 0.0
         self._keep = self._safe + fleet.avoidance.margin_m

@@ -116,5 +116,3 @@ def _check_what(row: Mapping[str, Any], place: str, reader: Reader) -> None:
         reader.add(f"{place}.{own[0]}", "needs a robot, such as robot = 3")
     if row.get("range") is not None and row.get("topic", "hand") in ("state", "wrench"):
         reader.add(f"{place}.range", "is between robots: a robot has no distance from its own plant")
-    if row.get("tick_jitter_share") is not None and row.get("tick_jitter") is None:
-        reader.add(f"{place}.tick_jitter_share", 'needs a tick_jitter, such as tick_jitter = "500ms"')

@@ -17,9 +17,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Generic, Literal, TypeVar, cast
 
+from handfast.agent.common.quantities import quantity, ratio, seconds, split, text, within
 from handfast.agent.common.settings import setting
 from handfast.agent.common.wording import show
 from handfast.agent.impairments.impairments import (
+    LIMIT,
     Corrupt,
     Delay,
     Duplicate,
@@ -28,7 +30,6 @@ from handfast.agent.impairments.impairments import (
     Range,
     Rate,
     Reorder,
-    Slot,
     interpolate,
     parse_ramp,
 )
@@ -54,11 +55,11 @@ class LinkSet:
         if not isinstance(texts, (list, tuple)) or not texts:
             raise ValueError(f'must be a link such as "1->2", "1<->2", "1,2->3" or "*->3", got {show(raw)}')
         pairs: list[tuple[tuple[int, ...] | None, tuple[int, ...] | None]] = []
-        for text in texts:
-            match = _LINK.fullmatch(text) if isinstance(text, str) and len(text) < 2000 else None
+        for each in texts:
+            match = _LINK.fullmatch(each) if isinstance(each, str) and len(each) < 2000 else None
             if match is None:
                 raise ValueError(
-                    f'must be a link such as "1->2", "1<->2", "1,2->3" or "*->3", got {show(text)}'
+                    f'must be a link such as "1->2", "1<->2", "1,2->3" or "*->3", got {show(each)}'
                 )
             left, right = _ids(match[1]), _ids(match[3])
             pairs.append((left, right))
@@ -173,8 +174,6 @@ class Partition:
 T = TypeVar("T", bound=Impairment)
 
 Process = Literal["agent", "plant", "both"]
-LIMIT: Final = 10_000
-"""Messages that may wait on one link where a rule gives no `limit`."""
 _FAR: Final = 1e6
 _TICK: Final = 1e-3  # no fleet ticks faster
 
@@ -243,19 +242,11 @@ class Impairments:
         Corrupt, '"0.1%"', "Messages in which one bit is flipped; the receiver finds and drops them."
     )
     rate: Effect[Rate] | None = _impairment(
-        Rate, '"100kbit"', "What the link carries; messages queue for it. Units are those of tc."
+        Rate,
+        '"100kbit"',
+        "What the link carries, in units of tc; messages queue for it. `100kbit limit 50`: at most 50 wait, "
+        f"further ones are lost ({LIMIT} where not given).",
     )
-    limit: int | None = setting(
-        None,
-        f"Messages that may wait on one link, {LIMIT} where not given; further ones are lost.",
-        ge=1,
-        le=1_000_000,
-        example="1000",
-    )
-    slot: Effect[Slot] | None = _impairment(
-        Slot, '"100ms"', "Messages come in bursts, one every so often; `50ms 150ms`: least and most."
-    )
-    hold: bool | None = setting(None, "Messages wait until the fault ends, and then come all at once.")
     range: Effect[Range] | None = _impairment(
         Range,
         '"disc 10m"',
@@ -265,19 +256,65 @@ class Impairments:
 
 
 EFFECTS: Final = (
-    "delay", "loss", "duplicate", "reorder", "corrupt", "rate", "limit", "slot", "hold", "range",
+    "delay", "loss", "duplicate", "reorder", "corrupt", "rate", "range",
 )  # fmt: skip
 """Fields of a rule that are about links."""
 SENSOR_FIELDS: Final = ("position_bias_m", "heading_bias_rad", "jump_m")
 """Fields of a rule that are about measurements."""
 ACTION_FIELDS: Final = ("kill", "pause", "restart")
-CLOCK_FIELDS: Final = ("clock_skew", "clock_drift")
-PROCESS_FIELDS: Final = (*ACTION_FIELDS, *CLOCK_FIELDS, "tick_jitter", "tick_jitter_share")
+CLOCK_FIELDS: Final = ("clock_skew",)
+PROCESS_FIELDS: Final = (*ACTION_FIELDS, *CLOCK_FIELDS, "tick_jitter")
 """Fields of a rule that are about processes and their clocks."""
 
 
 def _bias(what: str, unit: str, limit: float = 100.0) -> Any:
     return setting(None, f"Added to the measured {what}.", unit=unit, ge=-limit, le=limit)
+
+
+_late = within(seconds, 0.0, 2.0, "s")
+_ahead = within(seconds, -3600.0, 3600.0, "s")
+_drift = within(partial(quantity, unit="ratio"), -0.01, 0.01, "")
+
+
+@dataclass(frozen=True, slots=True)
+class TickJitter:
+    """Late ticks, "5ms" or "500ms 5%": by up to `most_s`, and the share of ticks that are late."""
+
+    most_s: float
+    share: float = 1.0
+
+    @classmethod
+    def parse(cls, raw: object) -> TickJitter:
+        """From text or a number of seconds. ValueError."""
+        words = _two_words(raw, '"5ms" or "500ms 5%" (5 % of ticks)')
+        return cls(_late(words[0]), *map(ratio, words[1:]))
+
+    def __str__(self) -> str:
+        return text(self.most_s, "s") + (f" {text(self.share, 'ratio')}" if self.share < 1.0 else "")
+
+
+@dataclass(frozen=True, slots=True)
+class ClockError:
+    """An error of a clock, "100ms" or "100ms 50ppm": ahead by `ahead_s`, faster by the share `drift`."""
+
+    ahead_s: float
+    drift: float = 0.0
+
+    @classmethod
+    def parse(cls, raw: object) -> ClockError:
+        """From text or a number of seconds. ValueError."""
+        words = _two_words(raw, '"100ms" or "100ms 50ppm" (drift)')
+        return cls(_ahead(words[0]), *map(_drift, words[1:]))
+
+    def __str__(self) -> str:
+        return text(self.ahead_s, "s") + (f" {text(self.drift, 'ratio')}" if self.drift else "")
+
+
+def _two_words(raw: object, form: str) -> list[str]:
+    words = split(raw, form)
+    if len(words) > 2:
+        raise ValueError(f"must be written {form}, got {show(raw)}")
+    return words
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,33 +391,16 @@ class Rule(Impairments):
     wipe: bool | None = setting(
         None, "`kill`, `restart`: its disk is lost with it; it starts again without any order that it kept."
     )
-    tick_jitter: float | None = setting(
-        None, "Ticks of agent and plant come late by up to this.", unit="s", ge=0, le=2, example='"5ms"'
+    tick_jitter: TickJitter | None = _parsed(
+        TickJitter,
+        '"5ms"',
+        "Ticks of agent and plant come late by up to this; `500ms 5%`: 5 % of them, as on a machine that is "
+        "overloaded.",
     )
-    tick_jitter_share: float | None = setting(
-        None,
-        "So many of them do, each process's by itself, as on a machine that has too much to do; all where "
-        "not given.",
-        unit="ratio",
-        ge=0,
-        le=1,
-        example='"5%"',
-    )
-    clock_skew: float | None = setting(
-        None,
-        "The robot's clock is ahead by this, for the whole run.",
-        unit="s",
-        ge=-3600,
-        le=3600,
-        example='"100ms"',
-    )
-    clock_drift: float | None = setting(
-        None,
-        "The robot's clock is faster by this share, for the whole run.",
-        unit="ratio",
-        ge=-0.01,
-        le=0.01,
-        example='"50ppm"',
+    clock_skew: ClockError | None = _parsed(
+        ClockError,
+        '"100ms"',
+        "The robot's clock is ahead by this for the whole run; `100ms 50ppm`: and gains 50 us a second.",
     )
 
     def given(self, names: Sequence[str]) -> list[str]:

@@ -43,8 +43,6 @@ _ADDRESS: Final = r"[A-Za-z0-9]([A-Za-z0-9._-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:
 
 _ADDRESS_SAYS: Final = "a host name, an IPv4 address or an IPv6 address in [ ]"
 
-_FILE: Final = r"[^\x00\r\n]{1,400}"
-
 
 @dataclass(frozen=True, slots=True)
 class HostSection:
@@ -75,31 +73,11 @@ class HostSection:
     )
     user: str | None = setting(
         None,
-        "User to log in as. Left out: what your ssh configuration says for NAME.",
+        "User to log in as. Left out, as are port, key and jump hosts: as your ssh "
+        "configuration has it for NAME.",
         pattern=r"[A-Za-z_][A-Za-z0-9_.-]{0,31}\$?",
         pattern_says="a user name",
         example='"robot"',
-    )
-    port: int | None = setting(
-        None,
-        "Port of its ssh server. Left out: as your ssh configuration says.",
-        ge=1,
-        le=65535,
-        example="22",
-    )
-    key: str | None = setting(
-        None,
-        "File of the private key to log in with. Left out: as your ssh configuration and agent say.",
-        pattern=_FILE,
-        pattern_says="a file name",
-        example='"~/.ssh/id_ed25519"',
-    )
-    python: str | None = setting(
-        None,
-        "Its Python, 3.11 or later. Left out: the first that is found.",
-        pattern=r"[A-Za-z0-9_./+@-]{1,400}",  # a shell there reads it
-        pattern_says="a command or a path there of letters, digits and _ . / + @ - (~ is not expanded)",
-        example='"/usr/bin/python3.12"',
     )
 
 
@@ -166,9 +144,12 @@ class NetworkSection:
 class RecordingSection:
     """``[recording]``: what robots' computers record."""
 
-    enabled: bool = setting(True, "Each robot with a host records what it says, for `handfast fetch`.")
     max_mb: int = setting(
-        256, "Largest size of one robot's recordings, 10^6 bytes; the oldest goes first.", ge=16, le=1_000_000
+        256,
+        "Largest size of what a robot with a host records of itself for `handfast fetch`, 10^6 bytes; the "
+        "oldest goes first. 0: it records nothing.",
+        ge=0,
+        le=1_000_000,
     )
 
 

@@ -361,7 +361,7 @@ def _of_kind(
 def digest(fleet: Fleet) -> str:
     """16 hex digits over what all robots must agree on.
 
-    That is everything but where and how processes run and how they reach each other, the description, what
+    That is everything but where and how processes run and how they reach each other, what
     is recorded, and how a vehicle's own computer reaches it.
     """
     global _last_digest
@@ -376,7 +376,6 @@ def _digest(fleet: Fleet) -> str:
     table = to_dict(fleet)
     for key in ("network", "host", "recording"):
         table.pop(key, None)
-    del table["fleet"]["description"]
     for robot in table["robot"]:
         robot.pop("host", None)
         for kind in plants.KINDS.values():

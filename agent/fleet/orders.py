@@ -69,7 +69,7 @@ ORDER_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "replace": (("robot", "by"), ("over_s",)),
     "remove": (("robots",), ()),
     "reshape": ((), ("formation", "trajectory", "scale", "over_s")),
-    "stop": ((), ("reason",)),
+    "stop": ((), ()),
     "resume": ((), ("robots",)),
 }
 """Fields that each kind of order needs, and those that it takes besides; others are errors with it."""
@@ -158,7 +158,12 @@ class OrderSection:
         le=1000,
         example="1.5",
     )
-    formation: ShapeSection | None = setting(None, "`reshape`: new places, edges or distances.")
+    formation: ShapeSection | None = setting(
+        None,
+        "`reshape`: `offsets` are new places, one for each member in the order of the file; `edges` the "
+        "new graph, left out: as it was; `distance_m` new distances, left out: taken from `offsets`, else as "
+        "they were. Without `offsets` places are found that meet the distances.",
+    )
     trajectory: TrajectorySection | None = setting(
         None,
         "`reshape`: where to go from now on; its time counts from the change. `start_m` of a `line` or "
@@ -174,7 +179,6 @@ class OrderSection:
         le=600,
         example='"5s"',
     )
-    reason: str = setting("", "`stop`: why, for people.", example='"a person on the field"')
     robots: tuple[int, ...] | None = setting(
         None,
         "`remove`: whose bodies have been carried off the field; `resume`: who may drive again, left out: "

@@ -77,16 +77,6 @@ class AvoidanceSection:
         le=60,
         example="1.0",
     )
-    barrier_rate: float | None = setting(
-        None,
-        "p of the safety filter: the share of what is left of a distance that a robot may close in a second "
-        "(docs/theory.md). Left out: 3, or `control.max_acceleration` / `control.max_speed_mps` if that is "
-        "less, for braking from full speed takes p times that speed, or a quarter of `fleet.rate_hz`.",
-        unit="1/s",
-        gt=0,
-        le=100,
-        example="2.0",
-    )
     margin_m: float = setting(
         0.05, "The safety filter keeps this much more than the safe distance.", unit="m", ge=0, le=100
     )
@@ -119,9 +109,13 @@ class ObstacleSection:
     )
 
 
+FENCE_WARN_M: Final = 0.5
+"""Nearer to the geofence than this, a robot is pushed back, and says so."""
+
+
 @dataclass(frozen=True, slots=True)
 class GeofenceSection:
-    """``[geofence]``: where robots may be."""
+    """``[geofence]``: where robots may be. A robot nearer to it than 0.5 m is pushed back, and says so."""
 
     points_m: tuple[Vector, ...] = field(
         metadata=about(
@@ -132,9 +126,6 @@ class GeofenceSection:
             le=FAR_M,
             example="[[-10.0, -10.0], [30.0, -10.0], [30.0, 30.0], [-10.0, 30.0]]",
         )
-    )
-    warn_m: float = setting(
-        0.5, "Nearer to it than this, a robot is pushed back, and says so.", unit="m", gt=0, le=FAR_M
     )
 
 

@@ -43,7 +43,7 @@ LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
 REPLACED: Final[Mapping[str, str]] = {
     "network.admission": "docs/firewall.md has rules for nftables that do the same",
     "network.budget": "`check` always says what messages take of a radio; faults.rate limits links",
-    "network.budget_queue_s": "faults.limit bounds the queue of a link that faults.rate limits",
+    "network.budget_queue_s": 'faults.rate = "100kbit limit 50" bounds the queue of a link',
     "faults.replay": "write [[faults.rule]] with the same faults.seed: the same seed gives the same fates",
     "faults.trace": 'write a distribution: delay = "pareto 80ms 20ms"',
     "network.emulate_budget": "faults.rate limits links",
@@ -66,10 +66,28 @@ REPLACED: Final[Mapping[str, str]] = {
     "faults.rule.dropout": 'write topic = "state" and loss = "10%"',
     "faults.rule.heading_noise_rad": "robot.heading_noise_rad gives a robot's sensors noise",
     "faults.rule.position_noise_m": "robot.position_noise_m gives a robot's sensors noise",
-    "faults.rule.speed_noise_mps": "robot.speed_noise_mps gives a robot's sensors noise",
-    "faults.rule.yaw_rate_noise_radps": "robot.yaw_rate_noise_radps gives a robot's sensors noise",
+    "faults.rule.speed_noise_mps": "position_noise_m and heading_noise_rad give a robot's sensors noise",
+    "faults.rule.yaw_rate_noise_radps": "position_noise_m and heading_noise_rad give a robot's sensors noise",
+    "robot.speed_noise_mps": "position_noise_m and heading_noise_rad give a robot's sensors noise",
+    "robot.yaw_rate_noise_radps": "position_noise_m and heading_noise_rad give a robot's sensors noise",
     "faults.rule.speed_bias_mps": "position_bias_m and heading_bias_rad put measurements off",
     "faults.rule.yaw_rate_bias_radps": "position_bias_m and heading_bias_rad put measurements off",
+    "faults.rule.tick_jitter_share": 'it stands in tick_jitter: "500ms 5%"',
+    "faults.rule.clock_drift": 'it stands in clock_skew: "0ms 50ppm"',
+    "order.reason": "write it into a comment",
+    "host.port": "give it in ~/.ssh/config, under the host's NAME",
+    "host.key": "give it in ~/.ssh/config, under the host's NAME",
+    "host.python": "the first Python of 3.11 or later on its PATH is taken",
+    "recording.enabled": "recording.max_mb = 0 records nothing",
+    "avoidance.barrier_rate": "it follows from control.max_acceleration, max_speed_mps and fleet.rate_hz",
+    "geofence.warn_m": "it is 0.5 m",
+    "faults.limit": 'it stands in rate: "100kbit limit 50"',
+    "faults.rule.limit": 'it stands in rate: "100kbit limit 50"',
+    "fleet.description": "write it into a comment",
+    "faults.slot": "rate and delay make messages late",
+    "faults.rule.slot": "rate and delay make messages late",
+    "faults.hold": "loss or a partition silences a link; pause holds a process",
+    "faults.rule.hold": "loss or a partition silences a link; pause holds a process",
     "faults.rule.jump_probability": "one measurement in a hundred jumps",
 }
 """Fields of former versions, and what replaced each. `robot` stands for `robot_defaults` as well."""
@@ -117,12 +135,6 @@ class FleetSection:
     duration_s: float = setting(30.0, "How long a run drives, from the common start.", unit="s", gt=0, le=1e6)
     seed: int = setting(
         0, "Seed of everything random: noise, link faults. Same seed, same run.", ge=0, le=2**63 - 1
-    )
-    description: str = setting(
-        "",
-        "A sentence for people; nothing depends on it.",
-        lines=True,
-        example='"Six robots in a triangle"',
     )
 
 
@@ -238,8 +250,8 @@ class ControlSection(Sectioned):
     rate_min_hz: float | None = setting(
         None,
         "Robots whose machine cannot keep `fleet.rate_hz` decide more rarely, all of the fleet together and "
-        "by halves of the rate, down to this one; `fleet.rate_hz` itself: never. `avoidance.barrier_rate`, "
-        "left out, is then one that this rate carries. Left out: as far as law, safety filter and timeouts "
+        "by halves of the rate, down to this one; `fleet.rate_hz` itself: never. The safety filter's "
+        "rate is then one that this one carries. Left out: as far as law, safety filter and timeouts "
         "carry it as they are.",
         unit="Hz",
         ge=1,
@@ -356,12 +368,6 @@ class Body(Sectioned):
     )
     heading_noise_rad: float = setting(
         0.0, "Standard deviation of the measured heading.", unit="rad", ge=0, le=math.pi
-    )
-    speed_noise_mps: float = setting(
-        0.0, "Standard deviation of the measured speed.", unit="m/s", ge=0, le=100
-    )
-    yaw_rate_noise_radps: float = setting(
-        0.0, "Standard deviation of the measured yaw rate.", unit="rad/s", ge=0, le=100
     )
     host: str | None = setting(
         None,

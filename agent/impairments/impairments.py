@@ -1,4 +1,4 @@
-"""What a link may do to a message: delay, loss, duplicate, reorder, corrupt, rate, slots, range (PURE).
+"""What a link may do to a message: delay, loss, duplicate, reorder, corrupt, rate, range (PURE).
 
 Names, order of parameters and meanings are those of tc-netem(8) where it has them; each class says where it
 differs. Times are in seconds where no unit is written (netem: us).
@@ -33,10 +33,11 @@ from handfast.agent.impairments.loss_models import Chain, Loss, correlated, happ
 from handfast.agent.impairments.range_model import Range
 
 __all__ = [
-    "Corrupt", "Delay", "Duplicate", "Impairment", "Loss", "Range", "Rate", "Reorder", "Slot",
+    "Corrupt", "Delay", "Duplicate", "Impairment", "Loss", "Range", "Rate", "Reorder",
     "interpolate", "parse_ramp",
 ]  # fmt: skip
 
+LIMIT: Final = 10_000
 _DELAY_KINDS: Final = ("constant", *delay_distributions.SHAPES)
 _delay = within(seconds, 0.0, 3600.0, "s")
 _bitrate = within(bits_per_second, 1.0, 1e12, "bit/s")
@@ -189,73 +190,38 @@ class Reorder(_Chance):
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """The bandwidth of a link, which carries one message after another: "100kbit", "10kbps" (tc's units)."""
+    """The bandwidth of a link, which carries one message after another: "100kbit", "10kbps" (tc's units).
+
+    "100kbit limit 50": at most 50 messages wait for it, `LIMIT` where none is given; further ones are lost.
+    """
 
     bits_per_second: float
+    limit: int = LIMIT
 
     @classmethod
     def parse(cls, raw: object) -> Self:
         """From text or a number of bit/s. ValueError."""
-        words = split(raw, '"100kbit"')
-        if len(words) != 1:
-            raise ValueError(f'must be written "100kbit", got {shown(raw)}')
-        return cls(_bitrate(words[0]))
+        form = '"100kbit" or "100kbit limit 50"'
+        words = split(raw, form)
+        if len(words) == 1:
+            return cls(_bitrate(words[0]))
+        if len(words) != 3 or words[1] != "limit":
+            raise ValueError(f"must be written {form}, got {shown(raw)}")
+        return cls(_bitrate(words[0]), whole("limit", words[2], 1, 10**6))
 
     def __str__(self) -> str:
-        return text(self.bits_per_second, "bit/s")
+        more = f" limit {self.limit}" if self.limit != LIMIT else ""
+        return text(self.bits_per_second, "bit/s") + more
 
     def transmission_s(self, size_bytes: int) -> float:
         """How long the link is busy with a message, s."""
         return 8.0 * size_bytes / self.bits_per_second
 
 
-@dataclass(frozen=True, slots=True)
-class Slot:
-    """Messages wait for the next of moments that are "100ms" apart, or "50ms 150ms", at least and at most.
-
-    The moments are fixed on the time axis, whatever is sent: number k lies at k times the mean gap, moved by
-    a draw. Gaps so are distributed triangularly (netem draws them one after the other, uniformly).
-    """
-
-    least_s: float
-    most_s: float
-
-    @classmethod
-    def parse(cls, raw: object) -> Self:
-        """From text or a number of seconds. ValueError."""
-        form = '"100ms" or "50ms 150ms" (least and most)'
-        words = split(raw, form)
-        if len(words) > 2:
-            raise ValueError(f"must be written {form}, got {shown(raw)}")
-        least, most = _delay(words[0]), _delay(words[-1])
-        if least > most:
-            raise ValueError(f"the least comes first: write {shown(f'{words[1]} {words[0]}')}")
-        if most < 1e-3:
-            raise ValueError(f"must be at least 1ms, got {shown(raw)}")
-        return cls(least, most)
-
-    def __str__(self) -> str:
-        least, most = text(self.least_s, "s"), text(self.most_s, "s")
-        return most if self.least_s == self.most_s else f"{least} {most}"
-
-    def next_ns(self, stream: int, due_ns: int, origin_ns: int) -> int:
-        """The first moment at or after `due_ns`; moments are counted from `origin_ns`."""
-        mean_ns = round(0.5e9 * (self.least_s + self.most_s))
-        spread_ns = 0.25e9 * (self.most_s - self.least_s)  # at most half the mean: moments keep their order
-        number = (due_ns - origin_ns) // mean_ns - 1
-        while True:
-            moment_ns = origin_ns + number * mean_ns
-            if spread_ns:
-                moment_ns += round((2.0 * uniform(stream, number) - 1.0) * spread_ns)
-            if moment_ns >= due_ns:
-                return moment_ns
-            number += 1
-
-
 # --- ramps ------------------------------------------------------------------------------------
 
-Impairment: TypeAlias = Delay | Loss | Duplicate | Corrupt | Reorder | Rate | Slot | Range
-T = TypeVar("T", Delay, Loss, Duplicate, Corrupt, Reorder, Rate, Slot, Range)
+Impairment: TypeAlias = Delay | Loss | Duplicate | Corrupt | Reorder | Rate | Range
+T = TypeVar("T", Delay, Loss, Duplicate, Corrupt, Reorder, Rate, Range)
 
 
 def interpolate(a: T, b: T, fraction: float) -> T:

@@ -18,8 +18,8 @@ from handfast.agent.fleet.fault_rules import (
     ACTION_FIELDS,
     CLOCK_FIELDS,
     EFFECTS,
-    LIMIT,
     SENSOR_FIELDS,
+    ClockError,
     Effect,
     FaultsSection,
     Impairments,
@@ -27,7 +27,7 @@ from handfast.agent.fleet.fault_rules import (
 )
 from handfast.agent.fleet.loading import ScenarioError, parse_scenario
 from handfast.agent.fleet.model import Fleet
-from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
+from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder
 from handfast.agent.messages.types import EVERY_AUTHOR, Faults
 
 FOREVER_NS: Final = 2**62
@@ -45,9 +45,6 @@ class LinkEffects(NamedTuple):
     reorder: Reorder | None = None
     corrupt: Corrupt | None = None
     rate: Rate | None = None
-    limit: int = LIMIT
-    slot: Slot | None = None
-    hold: bool = False
     range: Range | None = None
 
 
@@ -356,14 +353,13 @@ class FaultPlan:
             if rule.tick_jitter is None or (rule.robots is not None and robot not in rule.robots):
                 continue
             if timed.fraction(time_ns) is not None:
-                share = rule.tick_jitter_share
-                return int(rule.tick_jitter * NS_PER_S), 1.0 if share is None else share
+                return int(rule.tick_jitter.most_s * NS_PER_S), rule.tick_jitter.share
         return 0, 1.0
 
     def clock(self, robot: int) -> tuple[int, float]:
         """How far the clock of `robot` is ahead (ns), and how much faster it is (1 is twice as fast)."""
-        found = self._settings(CLOCK_FIELDS, robot, 0)
-        return round(found.get("clock_skew", 0.0) * NS_PER_S), found.get("clock_drift", 0.0)
+        error = self._settings(CLOCK_FIELDS, robot, 0).get("clock_skew", ClockError(0.0))
+        return round(error.ahead_s * NS_PER_S), error.drift
 
     def local_time(self, robot: int) -> LocalTime | None:
         """The injected error of the clock of `robot`; None for none."""

@@ -19,12 +19,11 @@ from typing import Final, NamedTuple
 from handfast.agent.common import random_streams
 from handfast.agent.common.models import new
 from handfast.agent.common.time import NS_PER_S, LocalTime
-from handfast.agent.impairments.impairments import Delay
+from handfast.agent.impairments.impairments import LIMIT, Delay
 from handfast.agent.links.fault_plan import NONE, FaultPlan, LinkEffects, LinkRules
 from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
-    HELD,
     LOST,
     OVERFLOW,
     RANGE,
@@ -79,7 +78,6 @@ class _Link:
         self._ours: LocalTime | None
         self.refresh()
         self.waiting = 0
-        self.held: list[tuple[int, int, Arrival, Decision]] = []
         self._streams = _Streams(plan.seed, source, destination, TOPICS[topic])
         self._free_ns = 0
         self._departures: deque[int] = deque()
@@ -128,7 +126,7 @@ class _Link:
             if bit >= 0:
                 marks |= CORRUPTED
             queued_ns = self._queue_ns(effects, sent_ns, size)
-            if queued_ns is None or self.waiting + len(self.held) + len(out) >= effects.limit:
+            if queued_ns is None or self.waiting + len(out) >= LIMIT:
                 out.append((marks | LOST | OVERFLOW, _LOST_US, -1))
                 continue
             delay_ns = self.delay_ns(effects.delay, sequence, purpose)
@@ -140,13 +138,10 @@ class _Link:
                 delay_ns = 0
                 marks |= REORDERED
             due_ns = sent_ns + queued_ns + delay_ns + extra_ns
-            if effects.slot is not None:
-                due_ns = effects.slot.next_ns(streams["slot"], due_ns, self._plan.epoch_ns or 0)
             out.append((marks, due_ns - sent_ns, bit))
         return out
 
     def moved(self, by_ns: int) -> None:
-        self.held = [(sent_ns + by_ns, *rest) for sent_ns, *rest in self.held]  # type: ignore[misc]
         self._free_ns += by_ns
         self._departures = deque(each + by_ns for each in self._departures)
 
@@ -157,7 +152,7 @@ class _Link:
         departures = self._departures
         while departures and departures[0] <= sent_ns:
             departures.popleft()
-        if len(departures) >= effects.limit:
+        if len(departures) >= effects.rate.limit:
             return None
         self._free_ns = max(self._free_ns, sent_ns) + round(effects.rate.transmission_s(size) * NS_PER_S)
         departures.append(self._free_ns)
@@ -181,7 +176,6 @@ class LinkEmulator:
         for few."""
         self._order = 0
         self._pending: list[tuple[int, int, _Link, Arrival]] = []
-        self._holding = 0
         self._trace: list[Decision] = []
         self._trace_due_ns: int | None = None
         self._trace_sequence = 0
@@ -211,7 +205,7 @@ class LinkEmulator:
         if self._changes != self.plan.changes:
             self._changes = self.plan.changes
             self._ruled = self._rule()
-        self.idle = not (self._ruled or self._pending or self._holding or self._trace)
+        self.idle = not (self._ruled or self._pending or self._trace)
 
     def take(
         self,
@@ -247,10 +241,6 @@ class LinkEmulator:
             arrival = new(Arrival, (key, payload, message))
             if bit >= 0:
                 arrival = Arrival(key, _flipped(payload, bit), None)
-            if effects.hold:
-                link.held.append((sent_ns, delay_ns, arrival, entry))
-                self._holding += 1
-                continue
             self._trace.append(entry)
             self._wait(link, sent_ns + delay_ns, arrival)
         return False
@@ -270,25 +260,12 @@ class LinkEmulator:
 
     def due(self, now_ns: int) -> list[Arrival]:
         """Messages whose time has come at `now_ns`, the earliest first."""
-        if self._holding:
-            self._release(now_ns)
         out = []
         while self._pending and self._pending[0][0] <= now_ns:
             _, _, link, arrival = heapq.heappop(self._pending)
             link.waiting -= 1
             out.append(arrival)
         return out
-
-    def _release(self, now_ns: int) -> None:
-        """Releases what was held on links that hold no more."""
-        for link in self._links.values():
-            if link.held and not link.rules.effects(now_ns).hold:
-                for sent_ns, delay_ns, arrival, entry in link.held:
-                    delay_ns = max(now_ns - sent_ns, delay_ns)
-                    self._trace.append(entry._replace(what=entry.what | HELD, delay_us=delay_ns // 1000))
-                    self._wait(link, sent_ns + delay_ns, arrival)
-                self._holding -= len(link.held)
-                link.held.clear()
 
     def traced(self, now_ns: int, *, flush: bool = False) -> list[LinkTrace]:
         """The decisions since the last call, to publish: when there are enough, it is time, or to `flush`."""

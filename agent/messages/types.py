@@ -64,7 +64,6 @@ LOST: Final = 1
 DUPLICATED: Final = 2
 CORRUPTED: Final = 4
 REORDERED: Final = 8
-HELD: Final = 16
 RANGE: Final = 32
 OVERFLOW: Final = 64
 WHAT_MAX: Final = 2**16 - 1
@@ -623,7 +622,7 @@ class Decision(NamedTuple):
         int,
         About(
             f"Sum of {LOST}: lost, {DUPLICATED}: the second copy, {CORRUPTED}: corrupted, {REORDERED}: "
-            f"reordered, {HELD}: held, {RANGE}: lost to the range channel, {OVERFLOW}: lost to a full queue; "
+            f"reordered, {RANGE}: lost to the range channel, {OVERFLOW}: lost to a full queue; "
             "0: untouched",
             least=0,
             most=WHAT_MAX,

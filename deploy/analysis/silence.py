@@ -13,7 +13,6 @@ from math import hypot, inf
 from typing import Any, Final, NamedTuple
 
 from handfast.agent.common.time import NS_PER_MS, NS_PER_S
-from handfast.agent.control.constraint_assembly import STOP_S
 from handfast.agent.control.limits import barrier_rate, speed_max
 from handfast.agent.control.peers.beliefs import STANDS_S, said_doubt, stands_after
 from handfast.agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
@@ -79,13 +78,6 @@ def promised(fleet: Fleet, links: Links, *, off_m: float = 0.0, lanes_m: float =
     unmet = []
     if not fleet.avoidance.enabled:
         unmet.append("avoidance.enabled = false: nothing keeps robots apart that share no edge")
-    if most * rate > control.max_acceleration * (1.0 + 1e-9):
-        unmet.append(
-            f"avoidance.barrier_rate = {rate:g} 1/s times {most:g} m/s is more than "
-            f"control.max_acceleration = {control.max_acceleration:g} m/s2: robots cannot brake so hard"
-        )
-    if rate * STOP_S > 1.0:
-        unmet.append(f"avoidance.barrier_rate = {rate:g} 1/s: at most {1.0 / STOP_S:g} 1/s")
     left_s = STANDS_S + forgiven_s + control.prediction_horizon_s
     if 2.0 * (beacon_s + links.delay_s) > left_s:
         unmet.append(

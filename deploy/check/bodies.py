@@ -286,33 +286,20 @@ def _approach_speeds(fleet: Fleet, geometry: Geometry | None) -> Floats:
 
 def check_noise(fleet: Fleet) -> Iterator[Finding]:
     """How much commanded acceleration the gains make of measurement noise."""
-    noisy = [
-        robot
-        for robot in fleet.robots
-        if max(
-            robot.position_noise_m, robot.heading_noise_rad, robot.speed_noise_mps, robot.yaw_rate_noise_radps
-        )
-        > 0.0
-    ]
+    noisy = [robot for robot in fleet.robots if max(robot.position_noise_m, robot.heading_noise_rad) > 0.0]
     if not noisy:
         return
     control = fleet.control
-    k1, k2 = max(control.c1, control.kp), max(control.c2, control.kd)
 
-    def hand(robot: Robot) -> tuple[float, float]:
-        offset = robot.hand_offset_m
-        return (
-            hypot(robot.position_noise_m, offset * robot.heading_noise_rad),
-            hypot(robot.speed_noise_mps, offset * robot.yaw_rate_noise_radps),
-        )
+    def hand(robot: Robot) -> float:
+        return hypot(robot.position_noise_m, robot.hand_offset_m * robot.heading_noise_rad)
 
-    worst = max(noisy, key=lambda robot: hypot(k1 * hand(robot)[0], k2 * hand(robot)[1]))
-    position, velocity = hand(worst)
+    worst = max(noisy, key=hand)
     yield Finding(
         "info",
         "robot",
-        f"measurements of {robots([robot.id for robot in noisy])} are noisy: up to {position:.2g} m and "
-        f"{velocity:.2g} m/s (standard deviation) at the hand point of robot {worst.id}, which the gains "
-        f"turn into about {hypot(k1 * position, k2 * velocity):.2g} m/s2 of commanded acceleration. "
+        f"measurements of {robots([robot.id for robot in noisy])} are noisy: up to {hand(worst):.2g} m "
+        f"(standard deviation) at the hand point of robot {worst.id}, which the gains turn into about "
+        f"{max(control.c1, control.kp) * hand(worst):.2g} m/s2 of commanded acceleration. "
         "Distances settle to about the noise, not to zero",
     )

@@ -9,7 +9,6 @@ from typing import Final
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.limits import (
-    RATE_SHARE,
     acceleration_max,
     barrier_rate,
     speed_max,
@@ -21,8 +20,6 @@ from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import Robot
 from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry
-from handfast.deploy.analysis.couplings import Mode
-from handfast.deploy.analysis.stability import sampled_radius
 from handfast.deploy.check.finding import Finding
 from handfast.deploy.console.wording import robots, speed_limit
 
@@ -36,42 +33,11 @@ def check_braking(fleet: Fleet) -> Iterator[Finding]:
     if not fleet.avoidance.enabled:
         return
     rate, control = barrier_rate(fleet), fleet.control
-    yield from _sampled(rate, fleet.fleet.rate_hz)
     yield from _unheard(rate, control.wrench_timeout_s)
     most = speed_max(fleet)
     needed = rate * most
-    if needed > control.max_acceleration * (1.0 + _ROUNDING):
-        enough = _below(control.max_acceleration / most)
-        yield Finding(
-            "warning",
-            "avoidance.barrier_rate",
-            f"{rate:.4g} 1/s at {speed_limit(fleet)} counts on robots "
-            f"that brake with {needed:.3g} m/s2, more than control.max_acceleration = "
-            f"{control.max_acceleration:.4g}: they may come nearer than the safe distance; take {enough} 1/s "
-            "or less, or leave it out",
-        )
-    yield from _bodies(fleet, min(needed, control.max_acceleration))
+    yield from _bodies(fleet, needed)
     yield from _lag(fleet)
-
-
-def _sampled(rate: float, rate_hz: float) -> Iterator[Finding]:
-    """p against the rate of the loop: (F1), held, is a mode with p^2 and 2 p; (F9) bears more."""
-    if rate <= RATE_SHARE * rate_hz * (1.0 + _ROUNDING):
-        return
-    radius = sampled_radius(Mode(rate * rate, 2.0 * rate, True), rate_hz)
-    is_stable = radius < 1.0
-    yield Finding(
-        "warning" if is_stable else "error",
-        "avoidance.barrier_rate",
-        f"{rate:.4g} 1/s is {'much' if is_stable else 'too much'} for {rate_hz:.4g} Hz: the safety filter "
-        + (
-            f"and the limit of turning overshoot as they are sampled (largest eigenvalue {radius:.3g})"
-            if is_stable
-            else f"and the limit of turning drive robots to any speed (largest eigenvalue {radius:.3g})"
-        )
-        + f"; take {_below(RATE_SHARE * rate_hz)} 1/s or less, leave it out, or take "
-        f"{rate / RATE_SHARE:.4g} Hz",
-    )
 
 
 def _unheard(rate: float, timeout_s: float) -> Iterator[Finding]:
@@ -97,13 +63,12 @@ def _bodies(fleet: Fleet, needed: float) -> Iterator[Finding]:
         return
     weakest = min(weak, key=lambda robot: able[robot])
     most, field = able[weakest]
-    speed = speed_max(fleet)
     yield Finding(
         "warning",
-        "avoidance.barrier_rate",
+        "control.max_acceleration",
         f"{robots(weak)} cannot brake as the safety filter counts on: from {speed_limit(fleet)} that takes "
         f"{needed:.3g} m/s2, and {field} of robot {weakest} allows {most:.3g}; set it to "
-        f"{_below(most / speed)} 1/s or less, or lower the speed",
+        f"{_below(most)} or less, or lower the speed",
     )
 
 

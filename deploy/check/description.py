@@ -14,6 +14,7 @@ from handfast.agent.control.boundaries import obstacles_of
 from handfast.agent.control.limits import clearance, sensing_distance, speed_share, steps, why_not
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.plants import SIMULATOR, MavlinkSection
+from handfast.agent.fleet.safety import FENCE_WARN_M
 from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry, resolve, start_hands
 from handfast.agent.formation.trajectory import make_trajectory
@@ -36,9 +37,7 @@ def describe(fleet: Fleet) -> str:
     For a fleet that cannot be resolved it says what it can; `check` says why.
     """
     n, edges = len(fleet.members), len(fleet.formation.edges)
-    description = " ".join(fleet.fleet.description.split())
-    about = f": {description}" if description else ""
-    lines = [f"{fleet.fleet.name}{about}"]
+    lines = [fleet.fleet.name]
     lines.append(
         f"  {n} robot{'s' * (n != 1)} ({some([robot.id for robot in fleet.members])}), {edges} "
         f"edge{'s' * (edges != 1)}, {fleet.fleet.rate_hz:g} Hz for {fleet.fleet.duration_s:g} s, "
@@ -169,7 +168,7 @@ def _describe_safety(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
         xs, ys = zip(*fleet.geofence.points_m, strict=True)
         yield (
             f"geofence: {len(xs)} corners, x from {min(xs):.4g} to {max(xs):.4g} m, y from {min(ys):.4g} to "
-            f"{max(ys):.4g} m; robots are pushed back from {fleet.geofence.warn_m:.3g} m inside of it, and "
+            f"{max(ys):.4g} m; robots are pushed back from {FENCE_WARN_M:.3g} m inside of it, and "
             "hold outside"
         )
     if fleet.supervision.deadman_s is not None:

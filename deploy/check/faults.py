@@ -255,8 +255,6 @@ def _deaf(effects: LinkEffects, distance: float | None) -> str:
     """Why no message ever comes through, "" when some do."""
     if effects.loss is not None and effects.loss.rate > 1.0 - 1e-9:
         return f"loss {effects.loss}"
-    if effects.hold:
-        return "hold without an end"
     if effects.range is not None and distance is not None and effects.range.failure(distance) > 1.0 - 1e-9:
         return f"range {effects.range}; they start {distance:.3g} m apart"
     return ""
@@ -373,9 +371,9 @@ def _delayed(each: _Rule, topic: str, limit: float, consequence: str) -> Iterato
 
 def _silence(each: _Rule) -> float | None:
     """For how long a rule lets nothing through, s; None when some come, or none ever (`_no_start`)."""
-    loss, hold = each.effects.get("loss"), each.effects.get("hold")
+    loss = each.effects.get("loss")
     cut = loss is not None and loss.end is None and loss.start.rate > 1.0 - 1e-9
-    if not each.times or _always(each.rule) or not (cut or (hold is not None and hold.start)):
+    if not each.times or _always(each.rule) or not cut:
         return None
     return max(last - first for first, last in each.times)
 
@@ -495,11 +493,11 @@ def _processes(fleet: Fleet, rules: Sequence[_Rule], end: float) -> Iterator[Fin
                 f"{_named(each)}: {who} is still paused at the run's end at {end:g} s; end it earlier",
             )
         period = 1.0 / fleet.fleet.rate_hz
-        if rule.tick_jitter is not None and rule.tick_jitter >= period:
+        if rule.tick_jitter is not None and rule.tick_jitter.most_s >= period:
             yield Finding(
                 "warning",
                 f"{each.place}.tick_jitter",
-                f"{rule.tick_jitter:g} s is not less than a period, {period:g} s: ticks will be missed",
+                f"{rule.tick_jitter} is not less than a period, {period:g} s: ticks will be missed",
             )
 
 
@@ -530,10 +528,12 @@ def _clocks(fleet: Fleet, plan: FaultPlan) -> Iterator[Finding]:
     drifts = [_apart_from(plan, i, j, limit) for i, j in fleet.formation.edges]
     after_s, ahead, behind = min(drifts, default=(inf, 0, 0))
     if after_s < fleet.fleet.duration_s:
-        number = next(n for n, rule in enumerate(plan.file_rules(), 1) if rule.clock_drift is not None)
+        number = next(
+            n for n, rule in enumerate(plan.file_rules(), 1) if rule.clock_skew and rule.clock_skew.drift
+        )
         yield Finding(
             "warning",
-            f"faults.rule[{number}].clock_drift",
+            f"faults.rule[{number}].clock_skew",
             f"after {after_s:.3g} s robot {ahead}'s clock is {limit:g} s ahead of that of its neighbour "
             f"{behind}, which refuses messages from more than that in the future: they are lost",
         )

@@ -86,11 +86,14 @@ def _section(entry: Entry, name: str, shown: dict[type, str], above: type | None
     model = entry.table or entry.tables
     assert model is not None
     title = _title(entry, name)
-    if model in shown:
-        text = f"{entry.setting.doc} Its fields are those of `{shown[model]}`."
+    like = next(
+        (above for other, above in shown.items() if entries(model).keys() <= entries(other).keys()), ""
+    )
+    if like:
+        text = f"{entry.setting.doc} Its fields are those of `{like}`."
         yield f"## `{title}`\n\n{_wrapped(text)}\n"
         return
-    shown[model] = title
+    title = shown[model] = _title(entry, name)
     others = entry.setting.shared[1] if entry.setting.shared else above
     known = {field.key: field.setting.doc for field in entries(others).values()} if others else {}
     own = [

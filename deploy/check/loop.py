@@ -293,8 +293,7 @@ def _off(fleet: Fleet, robot: Robot) -> float:
     """How far noise puts a prediction off on average by the measure of (E1), m."""
     control, reach = fleet.control, robot.hand_offset_m
     place = hypot(robot.position_noise_m, reach * robot.heading_noise_rad)
-    velocity = hypot(robot.speed_noise_mps, reach * robot.yaw_rate_noise_radps)
-    force = hypot(max(control.c1, control.kp) * place, max(control.c2, control.kd) * velocity)
+    force = max(control.c1, control.kp) * place
     # Of the difference of two draws, each of two axes: the mean of a Rayleigh distribution.
     mean = sqrt(2.0) * sqrt(0.5 * pi)
-    return mean * (place + LOOKAHEAD_S * velocity + 0.5 * LOOKAHEAD_S * LOOKAHEAD_S * force)
+    return mean * (place + 0.5 * LOOKAHEAD_S * LOOKAHEAD_S * force)

@@ -17,6 +17,7 @@ from handfast.agent.control.boundaries import Circle, Polygon, fence_of, obstacl
 from handfast.agent.control.hand import Pose, hand
 from handfast.agent.control.limits import avoidance_distance, clearance, least_apart
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import FENCE_WARN_M
 from handfast.agent.formation import trajectory
 from handfast.agent.formation.geometry import Geometry
 from handfast.agent.formation.points import Floats
@@ -165,7 +166,7 @@ def _starts(
             f"nearer to {obstacle.name} than the clearance of {keep:.4g} m: driving away from it comes first",
         )
     if fence is not None and fleet.geofence is not None:
-        away, warn = distances(fence, hands), fleet.geofence.warn_m
+        away, warn = distances(fence, hands), FENCE_WARN_M
         yield from _start(
             fleet,
             away < 0.0,
@@ -176,7 +177,7 @@ def _starts(
             fleet,
             (away >= 0.0) & (away < warn),
             "warning",
-            f"nearer to the geofence than warn_m = {warn:.4g} m: driving away from it comes first",
+            f"nearer to the geofence than {warn:.4g} m: driving away from it comes first",
         )
 
 
@@ -289,7 +290,7 @@ def _way_past(
 
 
 def _way_inside(fleet: Fleet, ways: Paths, fence: Polygon) -> Iterator[Finding]:
-    warn = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
+    warn = FENCE_WARN_M
     outside, near = ways.below(fence, 0.0), ways.below(fence, warn)
     if outside:
         yield Finding(
@@ -301,9 +302,9 @@ def _way_inside(fleet: Fleet, ways: Paths, fence: Polygon) -> Iterator[Finding]:
     elif near:
         yield Finding(
             "warning",
-            "geofence.warn_m",
+            "geofence.points_m",
             f"the way of {_who(near)} leads nearer to the geofence than {warn:.4g} m, where robots are "
-            "pushed back, off their places: take a smaller warn_m or a wider fence",
+            "pushed back, off their places: take a wider fence",
         )
 
 

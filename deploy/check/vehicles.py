@@ -221,15 +221,7 @@ def _bodies(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
         "warning",
         "position_noise_m",
         vehicles,
-        lambda vehicle: (
-            max(
-                vehicle.robot.position_noise_m,
-                vehicle.robot.heading_noise_rad,
-                vehicle.robot.speed_noise_mps,
-                vehicle.robot.yaw_rate_noise_radps,
-            )
-            > 0.0
-        ),
+        lambda vehicle: max(vehicle.robot.position_noise_m, vehicle.robot.heading_noise_rad) > 0.0,
         "{who}: noise is added on purpose to what a vehicle measures, on top of its own; leave *_noise_* out",
     )
 

@@ -36,7 +36,7 @@ class Attached:
         self.count: Final = len(self.names)
         self._away: list[str] = []
         self._ids = fleet.ids
-        self._records = fleet.recording.enabled and any(robot.host is not None for robot in fleet.robots)
+        self._records = fleet.recording.max_mb > 0 and any(robot.host is not None for robot in fleet.robots)
         self._unseen: set[int] = set()
         """Robots of which nothing could be heard in the drive, but that may have recorded it."""
         self._present: frozenset[Process] = frozenset()

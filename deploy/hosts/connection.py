@@ -56,13 +56,13 @@ class Clock(NamedTuple):
     error_s: float
 
 
-def bootstrap(python: str | None) -> str:
+def bootstrap() -> str:
     """Shell text that starts our program with the first Python that is recent enough.
 
     Its last line of output, where there is none, begins with `NO_PYTHON` and says which were found.
     """
     # In single quotes, and without what one login shell or another would read within them.
-    wanted = " ".join(f'"{name}"' for name in ((python,) if python else PYTHONS))
+    wanted = " ".join(f'"{name}"' for name in PYTHONS)
     test = "import sys; sys.exit(sys.version_info < (3, 11))"
     script = (
         f'found=; for p in {wanted}; do if "$p" -c "{test}" >/dev/null 2>&1; then '
@@ -93,7 +93,7 @@ class HostConnection:
         self._said = ""
         try:
             self._process = subprocess.Popen(
-                hosts.command(host, bootstrap(host.python), accept_new=accept_new),
+                hosts.command(host, bootstrap(), accept_new=accept_new),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -337,11 +337,5 @@ def _greeting(stream: IO[bytes]) -> dict[str, Any] | None:
 
 
 def _no_python(host: HostSection, found: str) -> str:
-    if host.python is not None:
-        why = f" ({found})" if found else ": it is not there, or does not start"
-        return f"{host.python} is no Python of 3.11 or later{why}"
     instead = f" ({found})" if found else ""
-    return (
-        f"there is no Python of 3.11 or later on its PATH{instead}: install one, or name it in host."
-        f"{host.name}.python"
-    )
+    return f"there is no Python of 3.11 or later on its PATH{instead}: install one, or link it there"

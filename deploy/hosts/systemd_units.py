@@ -173,7 +173,7 @@ def places(fleet: Fleet, root: str, version: str, text: str) -> Places:
 
 def roles(fleet: Fleet) -> tuple[str, ...]:
     """Processes that each robot has, in the order of their start."""
-    return ("plant", "agent", RECORDER) if fleet.recording.enabled else ("plant", "agent")
+    return ("plant", "agent", RECORDER) if fleet.recording.max_mb else ("plant", "agent")
 
 
 def unit_name(fleet: str, robot: int, role: str) -> str:

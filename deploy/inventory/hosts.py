@@ -13,7 +13,6 @@ import subprocess
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from handfast.agent.common.reader import Problem
@@ -59,10 +58,6 @@ def options(host: HostSection, *, accept_new: bool = False) -> list[str]:
         words += ["-o", f"HostName={host.address.strip('[]')}"]
     if host.user is not None:
         words += ["-l", host.user]
-    if host.port is not None:
-        words += ["-p", str(host.port)]
-    if host.key is not None:
-        words += ["-i", str(Path(host.key).expanduser())]
     return words
 
 
@@ -102,10 +97,6 @@ def by_hand(host: HostSection, program: str = "ssh") -> str:
     words = [program]
     if host.address is not None:
         words += ["-o", f"HostName={host.address.strip('[]')}"]
-    if host.port is not None:
-        words += ["-p", str(host.port)]
-    if host.key is not None:
-        words += ["-i", str(Path(host.key).expanduser())]
     return shlex.join([*words, f"{host.user}@{host.name}" if host.user is not None else host.name])
 
 
@@ -126,9 +117,7 @@ def reason(host: HostSection, said: str) -> str:
     """What the errors of ssh mean, and what to do about them."""
     changed = re.search(r"Host key for (\S+) has changed", said)
     address = (host.address or host.name).strip("[]")
-    known_as = (
-        changed[1] if changed else f"[{address}]:{host.port}" if host.port not in (None, 22) else address
-    )
+    known_as = changed[1] if changed else address
     known: list[tuple[str, str]] = [
         (
             r"REMOTE HOST IDENTIFICATION HAS CHANGED|Host key for .* has changed",
@@ -151,7 +140,7 @@ def reason(host: HostSection, said: str) -> str:
         (
             r"Permission denied|Too many authentication failures",
             f"it does not let {host.user or 'you'} in: put your public key there "
-            f"({by_hand(host, 'ssh-copy-id')}), or name another with user and key",
+            f"({by_hand(host, 'ssh-copy-id')}), or name another user, or another key in ~/.ssh/config",
         ),
         (r"Connection (closed|reset) by|Broken pipe|lost connection", LOST),
     ]

@@ -346,14 +346,9 @@ def _locked() -> Iterator[None]:
 
 
 def _fleet_text(fleet: Fleet) -> str:
-    """The fleet file; keys to log in with are found from any working directory."""
     import tomli_w  # here: only this needs it
 
-    hosts = tuple(
-        replace(host, key=None if host.key is None else str(Path(host.key).expanduser().absolute()))
-        for host in fleet.hosts
-    )
-    return tomli_w.dumps(to_dict(replace(fleet, hosts=hosts)))
+    return tomli_w.dumps(to_dict(fleet))
 
 
 def _write_or_remove(record: FleetUp) -> None:

@@ -229,7 +229,7 @@ class Operator(Known):
             OrderError: it cannot be carried out; the text is one sentence that says why.
         """
         if order.kind == "stop":
-            return self.order_stop(now_ns, order.reason)
+            return self.order_stop(now_ns, "")
         if order.kind == "resume":
             return self.order_resume(now_ns, order.robots or ())
         if self.plan is None:

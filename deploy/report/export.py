@@ -22,7 +22,6 @@ from handfast.agent.messages.declaration import Field, declared
 from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
-    HELD,
     LOST,
     OVERFLOW,
     RANGE,
@@ -56,7 +55,7 @@ Writer = Callable[[RunResult, Path], list[Path]]
 _DTYPES: Final = {int: np.int64, float: np.float64, bool: np.bool_}
 _NAMES: Final = {"value": "multiplier", "doubt": "position_uncertainty"}
 _WHAT: Final = {
-    "lost": LOST, "duplicated": DUPLICATED, "corrupted": CORRUPTED, "reordered": REORDERED, "held": HELD,
+    "lost": LOST, "duplicated": DUPLICATED, "corrupted": CORRUPTED, "reordered": REORDERED,
     "range": RANGE, "overflow": OVERFLOW,
 }  # fmt: skip
 _COUNTS: Final = (*MESSAGES, "overruns")

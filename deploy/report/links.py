@@ -169,7 +169,7 @@ _CAPTION: Final = (
     "messages between neighbours that was lost on purpose. Above, the faults and when they held."
 )
 _COLUMNS: Final = (
-    "#Lost", "#Delay mean / 95 % / max (ms)", "#Twice", "#Damaged", "#Overtook", "#Held", "#Sent",
+    "#Lost", "#Delay mean / 95 % / max (ms)", "#Twice", "#Damaged", "#Overtook", "#Sent",
     "#Received", "#Missing", "#Age 50 % / 99 % (ms)",
 )  # fmt: skip
 
@@ -199,7 +199,6 @@ def _total(injected: Mapping[str, Any]) -> str:
     parts = [f"{shown(injected['lost'])} were lost ({100 * (injected['rate'] or 0.0):.1f} %)"]
     for name, said in (
         ("duplicated", "came twice"), ("corrupted", "were damaged"), ("reordered", "overtook others"),
-        ("held", "were held back"),
     ):  # fmt: skip
         if injected[name]:
             parts.append(f"{shown(injected[name])} {said}")
@@ -240,7 +239,7 @@ def _links_table(links: Sequence[Mapping[str, Any]]) -> str:
             "<code>metrics.json</code>.</p>"
         )
     note += (
-        '<p class="soft">Lost to held: what receivers did on purpose. Received and missing: what they '
+        '<p class="soft">Lost to reordered: what receivers did on purpose. Received and missing: what they '
         "counted during the drive; a message that a newer one overtook is missing, and so is each that a "
         "sender would have sent while it was dead.</p>"
     )
@@ -266,7 +265,7 @@ def _row(link: Mapping[str, Any], *, asked_too: bool) -> list[str]:
         *([escape(link["asked"])] if asked_too else []),
         f"{100 * done['rate']:.1f} %" if done["rate"] is not None else "–",
         _slashed(delay["mean"], delay["p95"], delay["max"]),
-        *(shown(done[name]) for name in ("duplicated", "corrupted", "reordered", "held")),
+        *(shown(done[name]) for name in ("duplicated", "corrupted", "reordered")),
         *(shown(measured[name]) for name in ("sent", "received", "lost")),
         _slashed(age["p50"], age["p99"]) if age else "–",
     ]

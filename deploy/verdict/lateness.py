@@ -84,10 +84,10 @@ def _made_late(recording: Recording, robot: int) -> list[tuple[float, float]]:
     """Times in which rules paused or killed an agent, or made it skip many ticks."""
     found = [(down.start_s, down.end_s) for down in downs(recording, robot, "agent")]
     for span in windows(recording):
-        rule, share = span.rule, span.rule.tick_jitter_share
-        if rule.tick_jitter is None or rule.tick_jitter < recording.fleet.period_ns / 1e9:
+        rule, late = span.rule, span.rule.tick_jitter
+        if late is None or late.most_s < recording.fleet.period_ns / 1e9:
             continue
-        if (share is None or share > SKIPPED_SHARE) and (rule.robots is None or robot in rule.robots):
+        if late.share > SKIPPED_SHARE and (rule.robots is None or robot in rule.robots):
             found.append((-np.inf if is_constant(rule) else span.start_s, span.end_s))
     return found
 

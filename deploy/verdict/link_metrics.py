@@ -12,7 +12,7 @@ from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Rule
 from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
 from handfast.agent.formation.points import Floats
 from handfast.agent.links.fault_plan import FaultPlan, link_effects
-from handfast.agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
+from handfast.agent.messages.types import CORRUPTED, DUPLICATED, OVERFLOW, RANGE, REORDERED
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.analysis.rounding import largest, mean, number, percentile
 from handfast.deploy.console.wording import robots
@@ -60,7 +60,6 @@ def injected(rows: LinkTable) -> dict[str, Any]:
         "duplicated": rows.count(DUPLICATED),
         "corrupted": rows.count(CORRUPTED),
         "reordered": rows.count(REORDERED),
-        "held": rows.count(HELD),
         "overflow": rows.count(OVERFLOW),
         "range": rows.count(RANGE),
         "delay_ms": {

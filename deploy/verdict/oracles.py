@@ -177,7 +177,7 @@ def _cuts(faults: Impairments) -> bool:
     """Whether these settings can keep two robots from hearing of each other for seconds."""
     if isinstance(faults, Rule) and faults.partition is not None:
         return True
-    if any(getattr(faults, name) is not None for name in ("corrupt", "rate", "slot", "hold", "range")):
+    if any(getattr(faults, name) is not None for name in ("corrupt", "rate", "range")):
         return True
     losses = () if faults.loss is None else (faults.loss.start, faults.loss.end)
     delays = () if faults.delay is None else (faults.delay.start, faults.delay.end)

@@ -13,6 +13,7 @@ from handfast.agent.control.limits import avoidance_distance, barrier_rate, spee
 from handfast.agent.control.limits import clearance as clearance_of
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS, EFFECTS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from handfast.agent.fleet.model import Fleet
+from handfast.agent.fleet.safety import FENCE_WARN_M
 from handfast.agent.formation.points import Floats
 from handfast.agent.formation.trajectory import maximum_speed
 from handfast.agent.links.fault_plan import FaultPlan
@@ -39,7 +40,7 @@ ERROR_M: Final = 0.1
 """Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
 LATE_MAX_S: Final = 1.25
 LOST_MAX: Final = 0.5
-_HARSH: Final = ("reorder", "corrupt", "rate", "limit", "slot", "hold", "range")
+_HARSH: Final = ("reorder", "corrupt", "rate", "range")
 _NEAR_SHARE: Final = 1.05
 _EXCUSED: Final = frozenset({State.RELEASED.value})
 _HOLDING: Final = frozenset({State.HOLDING.value})
@@ -215,7 +216,7 @@ def _held_up_s(a: Analysis, fleet: Fleet) -> float:
     fence = fence_of(fleet)
     boundaries = [(obstacle, reach_m) for obstacle in obstacles_of(fleet)]
     if fence is not None and fleet.geofence is not None:
-        boundaries.append((fence, fleet.geofence.warn_m))
+        boundaries.append((fence, FENCE_WARN_M))
     for boundary, least_m in boundaries:
         for index in range(len(a.ids)):
             held |= distances(boundary, a.hands[:, index]) < least_m

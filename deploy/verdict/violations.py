@@ -34,7 +34,7 @@ def reaction_s(recording: Recording) -> float:
         *recording.fleet.faults.rules,
         *(rule for held in live_sets(recording) for rule in held.rules),
     ]
-    late_s = max((rule.tick_jitter or 0.0 for rule in rules), default=0.0)
+    late_s = max((rule.tick_jitter.most_s for rule in rules if rule.tick_jitter), default=0.0)
     return max(REACTION_S, 2.0 / recording.fleet.fleet.rate_hz) + late_s
 
 

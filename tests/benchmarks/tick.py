@@ -207,7 +207,7 @@ def after_a_hitch(options: Options) -> Result:
     medians = []
     for share in (0, 5):
         text = lattice("slow", 20, rate_hz=SLOW_HZ, duration_s=15.0 if options.quick else 60.0)
-        hitches = f'[[faults.rule]]\nrobot = {ROBOT}\ntick_jitter = "600ms"\ntick_jitter_share = "{share}%"\n'
+        hitches = f'[[faults.rule]]\nrobot = {ROBOT}\ntick_jitter = "600ms {share}%"\n'
         found = probe(0.0, fleet=resolved(parse_fleet(f"{text}\n{hitches}", source="slow")))
         medians.append(median(found.ticks_us))
     ratio = medians[1] / medians[0]

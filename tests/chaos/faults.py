@@ -78,7 +78,7 @@ def _link(dice: Dice, ids: Sequence[int], trouble_s: float) -> Tables:
 
 def _effect(dice: Dice, *, windowed: bool) -> Tables:
     kind = dice.weighted(
-        (("delay", 4.0), ("loss", 4.0), ("duplicate", 1.0), ("reorder", 1.0), ("corrupt", 1.0), ("slot", 0.5))
+        (("delay", 4.0), ("loss", 4.0), ("duplicate", 1.0), ("reorder", 1.0), ("corrupt", 1.0))
     )
     if kind == "delay":
         mean = dice.whole(10, 300)
@@ -91,8 +91,6 @@ def _effect(dice: Dice, *, windowed: bool) -> Tables:
         return {"loss": form.format(p=_percent(dice, 1.0, 40.0))}
     if kind == "reorder":
         return {"reorder": _percent(dice, 5.0, 40.0), "delay": _ms(dice, 20, 200)}
-    if kind == "slot":
-        return {"slot": _ms(dice, 50, 300)}
     return {kind: _percent(dice, 1.0, 40.0) if kind == "duplicate" else _percent(dice, 0.1, 5.0)}
 
 
@@ -140,8 +138,8 @@ def _own(dice: Dice, ids: Sequence[int], trouble_s: float) -> Tables:
 
 
 def _clock(dice: Dice, ids: Sequence[int], trouble_s: float) -> Tables:
-    rule: Tables = {"robot": dice.pick(ids), "clock_skew": dice.between(-0.03, 0.03, 4)}
-    return rule | ({"clock_drift": dice.between(-1e-4, 1e-4, 6)} if dice.chance(0.5) else {})
+    skew, drift = dice.between(-0.03, 0.03, 4), dice.between(-1e-4, 1e-4, 6)
+    return {"robot": dice.pick(ids), "clock_skew": f"{skew} {drift}" if dice.chance(0.5) else skew}
 
 
 def _jitter(dice: Dice, ids: Sequence[int], trouble_s: float) -> Tables:
@@ -172,10 +170,8 @@ def draw_late(scene: Scene) -> None:
         rule["link"] = dice.pick(("->", "<->")).join(_split(dice, ids))
     late_ms = dice.whole(*preset.delay_ms)
     jitter_ms = dice.whole(0, late_ms // 4)
-    how = dice.weighted((("delay", 3.0), ("jitter", 2.0), ("slot", float(not preset.follow))))
-    if how == "slot":
-        rule["slot"] = f"{late_ms}ms"
-    elif late_ms:
+    how = dice.weighted((("delay", 3.0), ("jitter", 2.0)))
+    if late_ms:
         rule["delay"] = f"{late_ms}ms {jitter_ms}ms" if how == "jitter" and jitter_ms else f"{late_ms}ms"
     if dice.chance(0.8) or not late_ms:
         rule["loss"] = _percent(dice, *preset.loss)
@@ -273,7 +269,7 @@ def draw_stalls(scene: Scene) -> None:
     if scene.timeout_periods >= _PATIENT_PERIODS and dice.chance(0.5):
         stalls, shares, lasts = (300, 900), (10.0, 40.0), dice.between(8.0, 12.0, 1)
     share = f"{dice.between(*shares):.2g}%"
-    rule = {"tick_jitter": _ms(dice, *stalls), "tick_jitter_share": share, "at": 0.0, "for": lasts}
+    rule = {"tick_jitter": f"{_ms(dice, *stalls)} {share}", "at": 0.0, "for": lasts}
     scene.add_rule("stalls", rule)
 
 

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from handfast.agent.common.quantities import Vector
+from handfast.agent.fleet.safety import FENCE_WARN_M
 from handfast.agent.formation.points import assign_slots
 from handfast.deploy.analysis.shapes import edges as patch_edges
 from handfast.deploy.analysis.shapes import places as patch_places
@@ -304,8 +305,8 @@ def draw_fence(dice: Dice, points: Sequence[Vector]) -> Tables:
     """Draw a geofence that all these places are well within: a rectangle, or a polygon of many corners."""
     spans: list[Range] = [(min(p[axis] for p in points), max(p[axis] for p in points)) for axis in (0, 1)]
     (x0, x1), (y0, y1) = spans
-    x, y, warn = 0.5 * (x0 + x1), 0.5 * (y0 + y1), dice.between(0.3, 0.8, 1)
-    clearance = _FENCE_CLEARANCE_M + warn
+    x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    clearance = _FENCE_CLEARANCE_M + FENCE_WARN_M
     if dice.chance(0.5):
         w, h = ceil(0.5 * (x1 - x0) + clearance), ceil(0.5 * (y1 - y0) + clearance)
         corners: list[Vector] = [(-w, -h), (w, -h), (w, h), (-w, h)]
@@ -313,4 +314,4 @@ def draw_fence(dice: Dice, points: Sequence[Vector]) -> Tables:
         number, turn = dice.whole(5, 12), 2.0 * pi * dice.share()
         radius = ceil((0.5 * dist((x0, y0), (x1, y1)) + clearance) / cos(pi / number))
         corners = [turned((radius, 0.0), turn + 2.0 * pi * k / number) for k in range(number)]
-    return {"points_m": [list(rounded((x + a, y + b))) for a, b in corners], "warn_m": warn}
+    return {"points_m": [list(rounded((x + a, y + b))) for a, b in corners]}

@@ -178,7 +178,7 @@ class _Drawing:
     def _stop(self, at: float) -> None:
         """Add a stop and a resume, sometimes at first only of some robots."""
         dice = self._dice
-        self._orders.append({"at": at, "kind": "stop", "reason": f"drawn at {at:g} s"})
+        self._orders.append({"at": at, "kind": "stop"})
         resume_s = round(at + (dice.between(0.0, 0.4) if dice.chance(0.3) else dice.between(0.4, 4.0)), 2)
         if dice.chance(0.2):
             some = dice.some(self._fleet.ids, dice.whole(1, len(self._fleet.ids)))

@@ -253,7 +253,6 @@ def _body(scene: Scene, tables: Tables) -> Tables:
     if dice.chance(noise):
         body |= {
             "position_noise_m": dice.between(0.0, 0.005, 4), "heading_noise_rad": dice.between(0.0, 0.01, 4),
-            "speed_noise_mps": dice.between(0.0, 0.02, 4), "yaw_rate_noise_radps": dice.between(0.0, 0.05, 4),
         }  # fmt: skip
     if "mavlink" in tables.get("robot_defaults", {}):
         tables["robot_defaults"]["mavlink"] |= {"max_speed_mps": scene.speed}

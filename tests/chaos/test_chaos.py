@@ -101,7 +101,7 @@ def test_every_feature_is_drawn_in_some_scenario(drawn: dict[int, Tables]) -> No
     orders = {"join", "leave", "replace", "remove", "reshape", "stop", "resume"}
     faults = {
         "clock_skew", "corrupt", "delay", "duplicate", "loss", "partition", "range", "reorder",
-        "tick_jitter", "tick_jitter_share", "kill agent", "kill agent for good", "kill both for good",
+        "tick_jitter", "kill agent", "kill agent for good", "kill both for good",
         "kill plant", "pause agent", "restart agent",
     }  # fmt: skip
     wanted = {"robots in reserve", "obstacles", "geofences", "dead-man's switches"}

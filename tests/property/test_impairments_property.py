@@ -20,12 +20,11 @@ from handfast.agent.impairments.impairments import (
     Range,
     Rate,
     Reorder,
-    Slot,
     interpolate,
     parse_ramp,
 )
 
-CLASSES: tuple[Any, ...] = (Delay, Loss, Duplicate, Corrupt, Reorder, Rate, Slot, Range)
+CLASSES: tuple[Any, ...] = (Delay, Loss, Duplicate, Corrupt, Reorder, Rate, Range)
 
 ratios = st.floats(0, 1)
 correlations = st.floats(0, 1, exclude_max=True)
@@ -55,7 +54,6 @@ chances = st.one_of(
     st.builds(Corrupt, ratios, correlations),
     st.builds(Reorder, ratios, correlations, st.integers(1, 1000)),
 )
-slots = st.tuples(st.floats(0, 10), st.floats(1e-3, 10)).map(lambda pair: Slot(min(pair), max(pair)))
 ranges = st.one_of(
     st.builds(Range, st.just("disc"), st.floats(1e-3, 1e6), speed_mps=st.none() | st.floats(1, 3e8)),
     st.builds(
@@ -63,7 +61,7 @@ ranges = st.one_of(
         st.integers(0, 15), st.floats(0, 60), st.none() | st.floats(1, 3e8),
     ),
 )  # fmt: skip
-impairments = st.one_of(delays, losses, chances, st.builds(Rate, st.floats(1, 1e12)), slots, ranges)
+impairments = st.one_of(delays, losses, chances, st.builds(Rate, st.floats(1, 1e12)), ranges)
 
 
 def fate(impairment: Any, stream: int, sequence: int) -> object:
@@ -76,8 +74,6 @@ def fate(impairment: Any, stream: int, sequence: int) -> object:
         return impairment.bit(stream, sequence, 300)
     if isinstance(impairment, (Duplicate, Reorder)):
         return impairment.happens(stream, sequence)
-    if isinstance(impairment, Slot):
-        return impairment.next_ns(stream, sequence * 50_000_000, 12345)
     if isinstance(impairment, Range):
         return impairment.attempt(stream, sequence, 1.1 * impairment.distance_m)
     return None

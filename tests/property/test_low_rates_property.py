@@ -29,7 +29,6 @@ FLEET = """
 fleet = {{ name = "drawn", rate_hz = {rate}, duration_s = {duration} }}
 formation = {{ edges = {edges}, offsets = {places}, safe_distance_m = {safe} }}
 control = {{ {control}, {waits} }}
-avoidance = {{ {avoidance} }}
 trajectory = {{ kind = "line", velocity_mps = [{speed}, 0.0] }}
 robot_defaults = {{ hand_offset_m = {reach}, mass_kg = {mass}, inertia_kgm2 = {inertia} }}
 robot = [{robots}]
@@ -51,7 +50,6 @@ def drawn(seed: int, low_hz: float = 1.0, high_hz: float = 100.0) -> Fleet:
         control += f", kp = {dice.choice([0.3, 2.0, 4.0])}, kd = {dice.choice([1.0, 3.0, 6.0])}"
     if dice.random() < 0.2:
         control += f", c1 = {dice.choice([0.1, 1.0, 3.0])}, c2 = {dice.choice([0.3, 1.5, 4.0])}"
-    rates = f"barrier_rate = {dice.choice([0.5, 1.0, 2.0, 4.0, 8.0])}" if dice.random() < 0.3 else ""
     wide = dice.uniform(1.0, 3.0) * distance + 2.0 * reach
     hands: list[tuple[float, float]] = []
     robots: list[str] = []
@@ -70,7 +68,6 @@ def drawn(seed: int, low_hz: float = 1.0, high_hz: float = 100.0) -> Fleet:
         safe=safe,
         control=control,
         waits=f"plant_timeout_s = {wait}, wrench_timeout_s = {wait}, prediction_horizon_s = {10.0 * wait}",
-        avoidance=rates,
         speed=most * dice.uniform(0.0, 0.7),
         reach=reach,
         mass=scale(2.0, 60.0),
@@ -115,12 +112,6 @@ def test_a_fleet_at_2_hz_with_a_long_hand_crosses_calmly() -> None:
     fleet = parse_fleet(RATE3, source="rate3.toml")
     assert "error" not in {finding.level for finding in check(fleet)}
     assert fastest(fleet) < 1.01
-
-
-def test_a_barrier_that_the_rate_cannot_carry_drives_it_far_beyond_its_limit_and_is_refused() -> None:
-    fleet = parse_fleet(RATE3, source="rate3.toml", overrides=("avoidance.barrier_rate=3",))
-    assert "avoidance.barrier_rate" in {each.place for each in check(fleet) if each.level == "error"}
-    assert fastest(fleet) > 2.0
 
 
 @pytest.mark.parametrize(("c2", "grows"), [(1.8, False), (2.2, True)])

@@ -134,7 +134,7 @@ def test_who_was_dead_when_a_robot_joined_knows_it_when_it_is_back(robot: int):
 @pytest.mark.parametrize("role", ["agent", "plant", "both"])
 def test_who_was_dead_when_a_stop_came_does_not_drive_when_it_is_back(role: str):
     away = rule(f"robot = 3\nat = 3\nfor = 3\nkill = '{role}'")
-    run = Run(order(5.0, "kind = 'stop'\nreason = 'person'"), away).until(12.0)
+    run = Run(order(5.0, "kind = 'stop'"), away).until(12.0)
     stopped = dict.fromkeys(PLACES, State.STOPPED)
     assert run.states() == stopped
     assert not run.drives(3, 6.0, 12.0)

@@ -117,7 +117,7 @@ class Run:
 
 EVERYTHING = (
     "tick_jitter = 0.005",
-    "robot = 2\nclock_skew = 0.05\nclock_drift = 1e-4",
+    "robot = 2\nclock_skew = '50ms 100ppm'",
     "robot = 3\nclock_skew = -0.03",
     "jump_m = 0.1",
     "topic = 'state'\nloss = '10%'",
@@ -209,7 +209,7 @@ def test_a_clock_that_is_300_ms_off_keeps_the_fleet_from_starting(skew_s: float,
 
 
 def test_a_clock_that_drifts_parts_from_the_epoch_on():
-    run = Run("robot = 3\nclock_drift = 0.001").drive()
+    run = Run("robot = 3\nclock_skew = '0s 1000ppm'").drive()
     run.expect_safe(0.05)
     epoch_ns = run.simulation.epoch_ns
     ahead_us = {}

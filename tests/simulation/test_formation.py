@@ -141,8 +141,6 @@ def test_noise_and_lag_and_limits_are_survived():
         "delta",
         "robot_defaults.position_noise_m=0.003",
         "robot_defaults.heading_noise_rad=0.003",
-        "robot_defaults.speed_noise_mps=0.005",
-        "robot_defaults.yaw_rate_noise_radps=0.005",
         "robot_defaults.actuator_lag_s=0.05",
         "robot_defaults.max_force_n=30",
     )

@@ -104,7 +104,7 @@ def test_a_killed_receiver_is_no_lossy_network() -> None:
 
 def test_clocks_that_are_wrong_on_purpose_do_not_matter() -> None:
     fleet = trio(
-        LOSSY + '[[faults.rule]]\nrobot = 2\nclock_skew = "80ms"\nclock_drift = "1000ppm"\n'
+        LOSSY + '[[faults.rule]]\nrobot = 2\nclock_skew = "80ms 1000ppm"\n'
         '[[faults.rule]]\nlink = "2->1"\nloss = "100%"\nat = 0.5\nfor = 0.3\n'
     )
     result = audit(recorded(fleet, driven(fleet)))

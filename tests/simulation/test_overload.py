@@ -174,7 +174,7 @@ def test_processes_that_stand_now_and_then_are_silent_and_none_drives_into_their
     """
     fast = lattice("delta", 12).replace("speed_mps = 0.3", "speed_mps = 0.6")
     fast = fast.replace("[fleet]", f"[fleet]\nseed = {seed}")
-    run = Run("tick_jitter = '1s'\ntick_jitter_share = '5%'", duration_s=25.0, of=fast).until(25.0)
+    run = Run("tick_jitter = '1s 5%'", duration_s=25.0, of=fast).until(25.0)
     trace = run.trace()
     i, j = np.triu_indices(trace.hands.shape[1], 1)
     apart = np.hypot(*np.moveaxis(trace.hands[:, i] - trace.hands[:, j], 2, 0))

@@ -241,7 +241,7 @@ def alone(text: str, x: float = 0.0, speed: float = 0.0) -> Bench:
 
 
 SHED = 'obstacle = [{ name = "shed", centre_m = [1.5, 0.0], radius_m = 0.5 }]'
-FENCE = "geofence = { points_m = [[-5, -5], [1, -5], [1, 5], [-5, 5]], warn_m = 0.5 }"
+FENCE = "geofence = { points_m = [[-5, -5], [1, -5], [1, 5], [-5, 5]] }"
 
 
 @pytest.mark.parametrize("text", [SHED, FENCE], ids=["shed", "fence"])

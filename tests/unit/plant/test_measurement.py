@@ -23,10 +23,8 @@ fleet = { name = "two", seed = %d }
 formation = { edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }
 faults = { rule = [%s] }
 """
-NOISY = (
-    ", position_noise_m = 0.01, heading_noise_rad = 0.02, speed_noise_mps = 0.03, yaw_rate_noise_radps = 0.04"
-)
-DEVIATIONS = np.array([0.01, 0.01, 0.02, 0.03, 0.04])
+NOISY = ", position_noise_m = 0.01, heading_noise_rad = 0.02"
+DEVIATIONS = np.array([0.01, 0.01, 0.02])
 POSE = Pose(1.0, -2.0, 0.5, 0.3, -0.1)
 COUNT = 5000
 
@@ -55,7 +53,7 @@ def errors(made: Fleet, robot: int = 1, count: int = COUNT) -> Floats:
 
 
 def test_noise_has_its_deviations_and_no_bias():
-    found = errors(fleet(NOISY))
+    found = errors(fleet(NOISY))[:, :3]
     assert found.std(axis=0) == pytest.approx(DEVIATIONS, rel=0.04)
     assert np.all(np.abs(found.mean(axis=0)) < 4.0 * DEVIATIONS / np.sqrt(COUNT))
     for column, deviation in zip(found.T, DEVIATIONS, strict=True):

@@ -102,7 +102,6 @@ def test_the_rate_of_the_barrier_is_what_every_robot_can_brake_with() -> None:
     assert barrier_rate(small()) == 3.0
     slow = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
     assert barrier_rate(small(*slow)) == pytest.approx(0.8)
-    assert barrier_rate(small(*slow, "avoidance.barrier_rate=2.5")) == 2.5
 
 
 def test_robots_drive_no_faster_than_they_can_steer() -> None:
@@ -120,16 +119,14 @@ def test_the_rate_of_the_barrier_and_accelerations_are_what_the_loop_can_carry()
         return small(f"fleet.rate_hz={rate_hz}", *waits, *more)
 
     assert [barrier_rate(at(rate_hz)) for rate_hz in (100, 12, 4, 1)] == [3.0, 3.0, 1.0, 0.25]
-    assert barrier_rate(at(2, "avoidance.barrier_rate=3")) == 3.0
     assert [acceleration_max(at(rate_hz)) for rate_hz in (100, 7, 4, 1)] == [5.0, 5.0, 3.0, 0.75]
     assert acceleration_max(at(4, "avoidance.enabled=false")) == 5.0
 
 
 def test_robots_come_to_their_speed_as_fast_as_the_loop_carries_however_slowly_they_brake() -> None:
-    slow = ("control.max_acceleration=0.8", "control.max_speed_mps=1.0", "avoidance.barrier_rate=0.5")
+    slow = ("control.max_acceleration=0.8", "control.max_speed_mps=1.0")
     assert speeding_rate(small()) == speeding_rate(small(*slow)) == 3.0
     assert speeding_rate(small(*slow, "control.rate_min_hz=5")) == pytest.approx(1.5)
-    assert speeding_rate(small("avoidance.barrier_rate=3.5")) == 3.5
 
 
 def test_who_is_near_is_listened_to_in_time_to_brake() -> None:
@@ -220,12 +217,11 @@ WAITS = ("control.plant_timeout_s=2", "control.wrench_timeout_s=2")
     ("overrides", "steps", "why"),
     [
         ((), 2, "control.plant_timeout_s = 0.2 s is less than two periods of 0.16 s"),
-        (WAITS, 2, "avoidance.barrier_rate = 3 1/s, and 6.25 Hz carry at most 1.88 1/s"),
+        (WAITS, 2, "the safety filter's rate is 3 1/s, and 6.25 Hz carry at most 1.88 1/s"),
         ((*WAITS, "control.rate_min_hz=6.25"), 3, "control.rate_min_hz = 6.25 Hz"),
         ((*WAITS, "control.rate_min_hz=7"), 2, "control.rate_min_hz = 7 Hz"),
         ((*WAITS, "control.rate_min_hz=50"), 0, "control.rate_min_hz = 50 Hz"),
         ((*WAITS, "control.rate_min_hz=1"), 3, "no period is longer than 0.25 s"),
-        ((*WAITS, "control.rate_min_hz=1", "avoidance.barrier_rate=2"), 2, "avoidance.barrier_rate = 2 1/s"),
         (("control.prediction_horizon_s=0.2",), 1, "0.75 control.prediction_horizon_s = 0.15 s is less"),
         (("control.coupling=penalty",), 0, "of this control.coupling only control.rate_min_hz"),
         (("control.kd=20", "control.coupling=edge"), 0, "the gains of the law are too high for 25 Hz"),
@@ -271,7 +267,6 @@ def test_the_lowest_rate_is_no_higher_than_the_rate() -> None:
 def test_the_barrier_suits_the_lowest_rate_where_it_is_given() -> None:
     assert barrier_rate(fleet()) == 3.0
     assert barrier_rate(fleet("control.rate_min_hz=5")) == pytest.approx(LOWEST_SHARE * 5.0)
-    assert barrier_rate(fleet("control.rate_min_hz=5", "avoidance.barrier_rate=2.5")) == 2.5
 
 
 @given(st.floats(0.0, 40.0), st.floats(0.0, 40.0), st.floats(0.001, 1.0))

@@ -29,7 +29,7 @@ fleet = { name = "few" }
 formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 3]], safe_distance_m = 0.2 }
 avoidance = { distance_m = 1.1 }
 obstacle = [{ name = "shed", centre_m = [3, 3], radius_m = 0.5 }]
-geofence = { points_m = [[-10, -10], [10, -10], [10, 10], [-10, 10]], warn_m = 0.4 }
+geofence = { points_m = [[-10, -10], [10, -10], [10, 10], [-10, 10]] }
 """
 T0 = 1_000_000_000_000
 S = 1_000_000_000

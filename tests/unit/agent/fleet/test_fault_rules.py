@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import tomli_w
 
-from handfast.agent.fleet.fault_rules import LinkSet, Partition
+from handfast.agent.fleet.fault_rules import ClockError, LinkSet, Partition
 from handfast.agent.fleet.loading import ScenarioError, digest, parse_fleet, parse_scenario, to_dict
 from handfast.agent.fleet.model import FleetError
 
@@ -61,7 +61,6 @@ def test_every_field_of_a_rule_survives_writing_and_reading() -> None:
         + """
 [faults]
 delay = "normal 80ms 20ms"
-limit = 500
 [[faults.rule]]
 name = "flap"
 link = ["1->2", "3<->4"]
@@ -84,8 +83,7 @@ position_bias_m = [0.1, -0.2]
 jump_m = 0.5
 [[faults.rule]]
 robot = 3
-clock_skew = "100ms"
-clock_drift = "50ppm"
+clock_skew = "100ms 50ppm"
 [[faults.rule]]
 robot = 4
 kill = "agent"
@@ -96,7 +94,6 @@ link = "*->3"
 at = 0
 for = "10s"
 loss = "0%..50%"
-hold = true
 """
     )
     fleet = parse_fleet(text, source="here")
@@ -104,7 +101,7 @@ hold = true
     assert again == fleet
     assert digest(again) == digest(fleet)
     assert str(fleet.faults.rules[0].link) == "1->2; 3->4; 4->3"
-    assert fleet.faults.rules[4].clock_drift == 50e-6
+    assert fleet.faults.rules[4].clock_skew == ClockError(0.1, 50e-6)
 
 
 def test_faults_are_part_of_what_robots_agree_on() -> None:

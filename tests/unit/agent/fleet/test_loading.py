@@ -298,7 +298,6 @@ def test_a_file_of_rubbish_is_cut_short() -> None:
 def test_bundled_fleets(path: Path) -> None:
     fleet = load_fleet(path)
     assert fleet.fleet.name == path.stem
-    assert fleet.fleet.description
     assert law_name(fleet.control) == "joint"
     assert parse_fleet(tomli_w.dumps(to_dict(fleet)), source="again") == fleet
     offsets, distance = fleet.formation.offsets, fleet.formation.distance_m
@@ -363,9 +362,7 @@ def test_digest_is_over_what_robots_must_agree_on() -> None:
     base = digest(small())
     assert len(base) == 16
     assert int(base, 16) >= 0
-    assert base == digest(
-        small("network.base_port=9000", "network.address=robots", "fleet.description=other")
-    )
+    assert base == digest(small("network.base_port=9000", "network.address=robots"))
     assert base == digest(small(text=SMALL.replace("x_m = 1", "x_m = 1.0"))), "however it is written"
     different = [
         "fleet.seed=1",
@@ -435,9 +432,7 @@ def test_it_starts_without_numpy() -> None:
 @pytest.mark.parametrize("control", ["\x1b[2J", "\x07", "\x9b31m", "\u202e", "\x00"])
 def test_control_characters_are_refused_wherever_a_text_is_free(control: str) -> None:
     texts = {
-        "fleet.description": {"fleet": {"description": f"Six{control}"}},
         "faults.rule[1].name": {"faults": {"rule": [{"name": f"cut{control}", "loss": "50 %"}]}},
-        "order[1].reason": {"order": [{"at": 1, "kind": "stop", "reason": f"{control}lunch"}]},
         "robot[1].mavlink.connection": {"robot": [{"mavlink": {"connection": f"/dev/x{control}"}}]},
     }
     for place, tables in texts.items():
@@ -457,16 +452,23 @@ def test_control_characters_are_refused_wherever_a_text_is_free(control: str) ->
 @pytest.mark.parametrize("name", REPLACED)
 def test_removed_field_says_what_replaced_it(name: str) -> None:
     table, _, field = name.rpartition(".")
-    header = f"[[{table}]]" if table == "faults.rule" else f"[{table.replace('robot', 'robot_defaults')}]"
-    text = SMALL.replace("[robot_defaults]\n", "")
-    header = header if table else f"[{name}]"
-    text = f"{text.replace('mass_kg = 8', '')}\n{header}\n{field if table else 'x'} = 1\n"
+    forms = {
+        "": f"[{name}]", "faults.rule": "[[faults.rule]]", "host": "[host.here]",
+        "order": '[[order]]\nkind = "stop"\nat = 1',
+        "geofence": "[geofence]\npoints_m = [[-9, -9], [9, -9], [9, 9], [-9, 9]]",
+    }  # fmt: skip
+    header = forms.get(table) or f"[{table.replace('robot', 'robot_defaults')}]"
+    text = SMALL.replace("[robot_defaults]\n", "").replace("mass_kg = 8", "")
+    if table == "fleet":
+        text = text.replace("[fleet]", f"[fleet]\n{field} = 1")
+    else:
+        text = f"{text}\n{header}\n{field if table else 'x'} = 1\n"
     why = f"is no field any more: {REPLACED[name]}"
     with pytest.raises(FleetError) as caught:
         parse_fleet(text, source="small")
     assert why in [problem.message for problem in caught.value.problems]
     assert parse_fleet(text, source="small", recorded=True).ids == (3, 7, 5)
-    if table == "faults.rule":
+    if table in ("faults.rule", "geofence", "host", "order"):
         return
     with pytest.raises(FleetError) as caught:
         small(f"{name}=1".replace("robot.", "robot.3.", 1))

@@ -39,7 +39,6 @@ distance_m = [1.0, 1.5]
 [[order]]
 at = 30
 kind = "stop"
-reason = "lunch"
 
 [[order]]
 at = 40
@@ -51,7 +50,7 @@ kind = "resume"
     assert reshape.formation is not None
     assert reshape.formation.offsets == ((0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0))
     assert (join.robot, join.edges, join.distance_m) == (7, (2, 3), (1.0, 1.5))
-    assert (stop.reason, resume.robots) == ("lunch", None)
+    assert (stop.kind, resume.robots) == ("stop", None)
 
 
 def test_every_field_belongs_to_a_kind():

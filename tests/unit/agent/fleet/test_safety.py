@@ -148,4 +148,4 @@ def test_a_value_with_a_problem_of_its_own_is_not_blamed_twice() -> None:
     text = SMALL + "[[obstacle]]\ncentre_m = [1, 1]\nradius_m = -1\n"
     assert problems(text=text) == ["obstacle[1].radius_m: must be more than 0 and at most 1000000 m, got -1"]
     assert len(problems(text=polygon('[[0, 0], [1, "a"], [1, 1]]'))) == 1
-    assert len(problems(text=SMALL + "[geofence]\nwarn_m = 1\n")) == 1
+    assert len(problems(text=SMALL + "[geofence]\n")) == 1

@@ -50,7 +50,7 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 def test_a_fleet_with_orders_of_every_kind_is_written_as_it_was_read() -> None:
     orders = LEAVES + JOINS
     orders += '[[order]]\nat = 3\nkind = "replace"\nrobot = 3\nby = 8\nover_s = 2\n'
-    orders += '[[order]]\nat = 4\nkind = "stop"\nreason = "a person"\n'
+    orders += '[[order]]\nat = 4\nkind = "stop"\n'
     orders += '[[order]]\nat = 5\nkind = "resume"\nrobots = [1, 2]\n'
     for shape in (
         'trajectory = { kind = "circle", centre_m = [0, 0], radius_m = 2, speed_mps = 0.3 }',

@@ -19,7 +19,6 @@ from handfast.agent.impairments.impairments import (
     Range,
     Rate,
     Reorder,
-    Slot,
     interpolate,
     parse_ramp,
 )
@@ -66,8 +65,6 @@ KNOWN_S = {  # the first three delays of STREAM
         ("gap 5", Reorder(1.0, 0.0, 5), "100% gap 5"),
         ("100kbit", Rate(100e3), "100kbit"),
         (9600, Rate(9600.0), "9.6kbit"),
-        ("100ms", Slot(0.1, 0.1), "100ms"),
-        ("50ms 150ms", Slot(0.05, 0.15), "50ms 150ms"),
         ("disc 10m", Range("disc", 10.0), "disc 10m"),
         ("disc 10 speed 1500", Range("disc", 10.0, speed_mps=1500.0), "disc 10m speed 1500m/s"),
         ("logdistance 10m", Range("logdistance", 10.0), "logdistance 10m exponent 2.7 shadowing 4dB"),
@@ -132,9 +129,6 @@ DELAY_WANTED = 'must be a number or a text such as "200ms", "80ms 20ms" or "norm
         (Reorder, "25% 50% 50% gap 5", 'must be written "25%", "25% 50%" (correlation)'),
         (Rate, "0", 'must be at least 1bit, got "0"'),
         (Rate, "100kbit 5", 'must be written "100kbit"'),
-        (Slot, "150ms 50ms", 'the least comes first: write "50ms 150ms"'),
-        (Slot, "0ms", 'must be at least 1ms, got "0ms"'),
-        (Slot, "1ms 2ms 3ms", 'must be written "100ms"'),
         (Range, 10, 'must be written "disc 10m"'),
         (Range, "disc", 'must be written "disc 10m"'),
         (Range, "disc 10m retries 3 5ms", 'must be written "disc 10m"'),
@@ -203,21 +197,6 @@ def test_bits_to_flip_lie_in_the_message():
     assert Corrupt.parse("0%").bit(STREAM, 0, 100) == -1
 
 
-def test_slots_wait_for_the_next_moment():
-    slot = Slot.parse("100ms")
-    origin = 1_700_000_000_000_000_000
-    assert slot.next_ns(STREAM, origin, origin) == origin
-    assert slot.next_ns(STREAM, origin + 1, origin) == origin + 100_000_000
-    assert slot.next_ns(STREAM, origin - 1, origin) == origin
-    varied = Slot.parse("0ms 100ms")
-    found = [varied.next_ns(STREAM, origin + k * 1_000_003, origin) for k in range(3000)]
-    assert found == sorted(found)
-    for k, moment in enumerate(found):
-        due = origin + k * 1_000_003
-        assert due <= moment <= due + 100_000_001
-        assert varied.next_ns(STREAM, moment, origin) == moment
-
-
 def test_path_loss_grows_with_distance_and_each_message_keeps_its_luck():
     channel = Range.parse("logdistance 10m")
     assert channel.failure(0.0) == 0.0
@@ -252,7 +231,6 @@ def test_chains_read_their_rows_in_order():
         (Delay, "normal 0ms 0ms .. normal 80ms 20ms", "normal 40ms 10ms"),
         (Delay, "0..1", "500ms"),
         (Rate, "1mbit .. 100kbit", "550kbit"),
-        (Slot, "100ms .. 100ms 300ms", "100ms 200ms"),
         (Reorder, "0% gap 5 .. 50% gap 5", "25% gap 5"),
         (Range, "disc 20m .. disc 10m", "disc 15m"),
     ],

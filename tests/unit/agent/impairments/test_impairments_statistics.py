@@ -16,7 +16,7 @@ from scipy import stats
 from handfast.agent.common import random_streams
 from handfast.agent.impairments import loss_models
 from handfast.agent.impairments.delay_distributions import SHAPES
-from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
+from handfast.agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder
 
 COUNT = 100_000
 FIRST = 2**20  # sequence numbers that a run has
@@ -266,23 +266,7 @@ def test_links_and_purposes_are_independent():
         assert abs(correlation) < ERRORS * sqrt(1.3 / COUNT)
 
 
-# --- slots and range --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("text", ["50ms 150ms", "0ms 100ms", "99ms 101ms", "100ms"])
-def test_slots_are_as_far_apart_as_asked(text: str):
-    slot = Slot.parse(text)
-    moments = [1_000_000_007]
-    for _ in range(20_000):
-        moments.append(slot.next_ns(STREAM, moments[-1] + 1, 1_000_000_000))
-    gaps = np.diff(moments[1:]) * 1e-9
-    assert gaps.min() >= slot.least_s - 2e-9
-    assert gaps.max() <= slot.most_s + 2e-9
-    assert gaps.mean() == pytest.approx((slot.least_s + slot.most_s) / 2, rel=1e-4)
-    if slot.most_s > slot.least_s:
-        width = slot.most_s - slot.least_s
-        triangle = stats.triang(0.5, slot.least_s, width)
-        assert stats.kstest(gaps[::2], triangle.cdf).pvalue > P_MIN
+# --- range --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("distance", "failing"), [(10.0, 0.5), (12.0, None), (7.0, None), (30.0, None)])

@@ -119,7 +119,7 @@ def test_sensors_clocks_and_ticks() -> None:
         fleet(
             "[[faults.rule]]\nrobot = 1\njump_m = 0.1\n"
             "[[faults.rule]]\njump_m = 0.2\nheading_bias_rad = 0.3\ntick_jitter = 0.005\n"
-            '[[faults.rule]]\nrobot = 2\nclock_skew = "-100ms"\nclock_drift = "20ppm"\n'
+            '[[faults.rule]]\nrobot = 2\nclock_skew = "-100ms 20ppm"\n'
         )
     )
     one, two = plan.sensor(1, NOW), plan.sensor(2, NOW)

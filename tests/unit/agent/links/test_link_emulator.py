@@ -16,7 +16,6 @@ from handfast.agent.messages.codec import decode, encode
 from handfast.agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
-    HELD,
     LOST,
     OVERFLOW,
     RANGE,
@@ -222,35 +221,13 @@ def test_chosen_messages_overtake() -> None:
 
 def test_a_limited_rate_makes_messages_queue() -> None:
     size = len(encode(message(0)))
-    to = links("", f"faults.rate={8 * size * 25}bit", "faults.limit=10")  # half of what is sent
+    to = links("", f"faults.rate={8 * size * 25}bit limit 10")  # half of what is sent
     found = fates(to, range(60), arriving=True)
     first = [found[number][0][1] for number in range(8)]
     assert first == [pytest.approx(40_000 + 20_000 * number, rel=0.02) for number in range(8)]
     late = [copies[0] for number, copies in found.items() if number > 30]
     assert 0.35 < sum(what & OVERFLOW > 0 for what, _ in late) / len(late) < 0.65
     assert max(delay for _, delay in late) < 11 * 41_000
-
-
-def test_slots_bring_messages_in_bursts() -> None:
-    to = links("", "faults.slot=100ms")
-    found = fates(to, range(50))
-    due = [number * 20_000 + found[number][0][1] for number in range(50)]
-    assert all(time % 100_000 == 0 for time in due)
-    assert all(0 <= found[number][0][1] <= 100_000 for number in range(50))
-
-
-def test_held_messages_come_together_when_the_fault_ends() -> None:
-    to = links('[[faults.rule]]\nlink = "1->2"\nat = 1\nfor = 1\nhold = true\n')
-    for number in range(100):
-        if send(to, message(number)):
-            assert number < 50 or number >= 100
-        to.due(EPOCH + number * PERIOD)
-    assert entries(to) == []  # nothing is decided before the end
-    arrivals = to.due(EPOCH + 2 * NS_PER_S)
-    assert [arrival.message.sequence for arrival in arrivals if arrival.message] == list(range(50, 100))
-    found = entries(to)
-    assert [entry[4] for entry in found] == [HELD] * 50
-    assert all(entry[3] + entry[5] * 1000 == EPOCH + 2 * NS_PER_S for entry in found)
 
 
 def test_out_of_range_is_out_of_hearing() -> None:

@@ -77,7 +77,7 @@ def test_late_ticks_are_uniform_up_to_the_rules_limit():
 
 
 def test_of_late_ticks_there_may_be_a_share_and_which_they_are_differs_by_process():
-    rule = '{ robot = [1, 2], tick_jitter = 0.005, tick_jitter_share = "20%" }'
+    rule = '{ robot = [1, 2], tick_jitter = "5ms 20%" }'
     chosen = []
     for node in (plant(fleet(rule)), plant(fleet(rule), 2), Agent(fleet(rule), 1)):
         late = np.array([(time_ns - node.phase_ns) % PERIOD for time_ns in told(node, 3000)])

@@ -56,8 +56,6 @@ def test_late_links_give_up_later_and_doubt_more():
     ("overrides", "links", "said"),
     [
         (["avoidance.enabled=false"], Links(), "nothing keeps robots apart"),
-        (["avoidance.barrier_rate=9.0"], Links(), "robots cannot brake so hard"),
-        (["avoidance.barrier_rate=12.0", "control.max_speed_mps=0.1"], Links(), "at most 10 1/s"),
         ([], Links(delay_s=3.0), "robots relay of a silent one"),
         ([], Links(deceleration=0.2), "s to brake"),
         ([], Links(deceleration=0.0), "s to brake"),

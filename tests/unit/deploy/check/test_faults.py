@@ -176,7 +176,6 @@ def test_many_contradictions_are_summed_up() -> None:
     ("faults", "place", "says"),
     [
         ('[faults]\nloss = "100%"\n', "faults.loss", "robot 2 never hears robot 1, and 17 further links"),
-        ("[faults]\nhold = true\n", "faults.hold", "hold without an end"),
         ('[faults]\nrange = "disc 2m"\n', "faults.range", "they start 2.32 m apart"),
         (rule('link = "3->1"', 'loss = "100%"'), "faults.rule[1].loss", "robot 1 never hears robot 3 (loss"),
         (rule('partition = "alone 1"'), "faults.rule[1].partition", "robot 2 never hears robot 1"),
@@ -212,12 +211,12 @@ def test_delays_beyond_the_horizon() -> None:
 
 def test_clocks_that_drift_apart_are_foreseen() -> None:
     """0.25 s ahead, after 50 s at 0.5 %; the delta drives for 30 s."""
-    drift = rule("robot = 2", "clock_drift = 0.005")
+    drift = rule("robot = 2", "clock_skew = '0s 0.005'")
     assert found(drift) == []
     (finding,) = (each for each in found(drift, "fleet.duration_s=75") if "clock" in each.place)
-    assert (finding.level, finding.place) == ("warning", "faults.rule[1].clock_drift")
+    assert (finding.level, finding.place) == ("warning", "faults.rule[1].clock_skew")
     assert finding.message.startswith("after 50 s robot 2's clock is 0.25 s ahead of that of its neighbour ")
-    behind = rule("robot = 2", "clock_drift = -0.005", 'clock_skew = "-100ms"')
+    behind = rule("robot = 2", 'clock_skew = "-100ms -0.005"')
     (finding,) = (each for each in found(behind, "fleet.duration_s=75") if "clock" in each.place)
     assert "after 30 s robot " in finding.message
     assert "ahead of that of its neighbour 2" in finding.message
@@ -245,7 +244,7 @@ def test_silences_longer_than_the_horizon_are_told() -> None:
     finding = one(rule('name = "cut"', 'partition = "alone 1"', "at = 5", "for = 4"))
     assert (finding.level, finding.place) == ("info", "faults.rule[1]")
     assert "'cut' lets nothing through on 1->2, 1->3, 2->1, 3->1 for 4 s" in finding.message
-    held = one(rule('link = "1->2"', "hold = true", "at = 5", "for = 4"))
+    held = one(rule('link = "1->2"', 'loss = "100%"', "at = 5", "for = 4"))
     assert "for 4 s, longer than control.prediction_horizon_s" in held.message
     plant = one(rule("robot = 2", 'topic = "state"', 'loss = "100%"', "at = 5", "for = 1"))
     assert plant.level == "warning"

@@ -139,7 +139,7 @@ def test_a_way_out_of_the_fence_is_an_error_and_within_its_band_a_warning() -> N
     assert (outside.level, outside.place) == ("error", "geofence.points_m")
     assert "the way of robots 7 and 5 (first 5, at 17 s)" in outside.message
     (near,) = found(FENCE.format(east=11.3))
-    assert (near.level, near.place) == ("warning", "geofence.warn_m")
+    assert (near.level, near.place) == ("warning", "geofence.points_m")
     assert "the way of robot 5 (at 19.6 s)" in near.message
 
 

@@ -69,7 +69,7 @@ def test_how_far_one_rolls_that_nothing_commands_is_said_where_others_are_nearer
         ("robot.5.hand_offset_m=0.1", "robot[5].hand_offset_m", "robot 5"),
         ("robot.6.inertia_kgm2=0.01", "robot[6].inertia_kgm2", "robot 6"),
         ("robot_defaults.inertia_kgm2=200", "robot[1].inertia_kgm2", "robots 1, 2, 3, 4, 5 and 6"),
-        ("robot.1.speed_noise_mps=0.1", "robot[1].position_noise_m", "on purpose"),
+        ("robot.1.heading_noise_rad=0.1", "robot[1].position_noise_m", "on purpose"),
     ],
 )
 def test_each_thing_that_is_unwise_is_a_warning(override: str, place: str, words: str) -> None:

@@ -59,7 +59,7 @@ def test_they_are_left_as_they_are() -> None:
 @pytest.mark.parametrize("records", [True, False])
 def test_who_may_have_driven_on_unheard_is_told_where_that_is_recorded(records: bool) -> None:
     fleet = hosts_fleet()
-    made = Attached(replace(fleet, recording=replace(fleet.recording, enabled=records)))
+    made = Attached(replace(fleet, recording=replace(fleet.recording, max_mb=20 if records else 0)))
     everybody = frozenset(made.names)
     made.look(everybody, None)
     made.look(frozenset(), -1.0)  # before the drive

@@ -130,7 +130,7 @@ def test_a_bridge_starts_whether_its_serial_port_is_there_or_not() -> None:
 
 def test_the_recorder_can_be_left_out():
     assert roles(fleet()) == ("plant", "agent", "recorder")
-    assert roles(fleet("[recording]\nenabled = false")) == ("plant", "agent")
+    assert roles(fleet("[recording]\nmax_mb = 0")) == ("plant", "agent")
 
 
 def test_the_keys_are_named_not_shown():

@@ -194,12 +194,6 @@ def test_threads_and_commands_note_one_after_another() -> None:
     assert sorted(hosts(all_up()[0])) == ["left", "right"]
 
 
-def test_keys_to_log_in_with_are_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    note_up(fleet(HOSTS + 'key = "id"\n'), SOURCE, BOTH, complete=True)
-    assert load_fleet(all_up()[0].fleet_file).hosts[1].key == str(tmp_path / "id")
-
-
 def test_down_without_a_record_makes_none(state: Path) -> None:
     note_down(fleet(), BOTH)
     assert not state.exists()

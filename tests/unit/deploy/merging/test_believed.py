@@ -165,8 +165,8 @@ def recorded(robot: int, fleet: Fleet = FLEET, text: str | None = None, **said: 
     return RobotFile(Path(f"{robot}"), about, [(0, 10)])
 
 
-def described(text: str) -> Fleet:
-    return replace(FLEET, fleet=replace(FLEET.fleet, description=text))
+def recorded_by(most_mb: int) -> Fleet:
+    return replace(FLEET, recording=replace(FLEET.recording, max_mb=most_mb))
 
 
 def judged(*among: RobotFile, own: Fleet | None = None) -> tuple[Fleet, list[int], list[str]]:
@@ -212,9 +212,8 @@ def test_where_none_can_be_used_it_says_why() -> None:
         judged(recorded(1, text="[fleet"))
 
 
-def test_a_description_is_as_the_operator_has_it() -> None:
-    """It has no part in the digest."""
-    mine, theirs = described("mine"), described("made up")
+def test_what_is_no_part_of_the_digest_is_as_the_operator_has_it() -> None:
+    mine, theirs = recorded_by(20), recorded_by(30)
     assert judged(recorded(1, theirs), recorded(2, theirs), own=mine)[0] == mine
     assert judged(recorded(1), recorded(2, theirs), recorded(3))[:2] == (FLEET, [1, 2, 3])
 
@@ -240,7 +239,7 @@ def test_a_recording_has_no_code_loaded_that_the_operators_own_file_does_not_nam
 
 
 def test_so_many_files_of_one_robot_are_read() -> None:
-    among = [recorded(1), *(recorded(2, described(f"no. {k}")) for k in range(TEXTS_MAX + 1)), recorded(3)]
+    among = [recorded(1), *(recorded(2, recorded_by(20 + k)) for k in range(TEXTS_MAX + 1)), recorded(3)]
     _, robots, said = judged(*among)
     assert robots == [1, *[2] * TEXTS_MAX, 3]
     assert said == [f"what robot 2 recorded is left out: there are more than {TEXTS_MAX} fleet files in it"]

@@ -142,7 +142,7 @@ def test_an_order_that_cannot_be_changes_nothing() -> None:
 
 def test_stop_and_resume_are_given_like_other_orders() -> None:
     made = operator(begun=False)
-    stop = made.give(order("stop", reason="a person"), EPOCH)
+    stop = made.order_stop(EPOCH, "a person")
     assert stop == Stop(US, EPOCH, "a person")
     assert made.give(order("resume", robots=(2, 3)), EPOCH) == Resume(US + 1, EPOCH, (2, 3))
     assert made.order_stop(EPOCH, "ü" * 300).reason.endswith("...")

@@ -21,7 +21,7 @@ from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import (
     CLASSES,
     CORRUPTED,
-    HELD,
+    REORDERED,
     TOPICS,
     Checks,
     HandState,
@@ -89,11 +89,11 @@ def test_json_holds_all_of_a_message_and_is_what_its_schema_says(message: Messag
 
 
 def test_a_link_trace_reads_like_text() -> None:
-    entries = tuple((2, topic, 7, EPOCH_NS, CORRUPTED | HELD, 80_000) for topic in range(len(TOPICS)))
+    entries = tuple((2, topic, 7, EPOCH_NS, CORRUPTED | REORDERED, 80_000) for topic in range(len(TOPICS)))
     content = json.loads(to_json(LinkTrace(1, 5, EPOCH_NS, entries)))
     assert [entry["topic"] for entry in content["entries"]] == ["hand", "state", "wrench", "beacon"]
     assert content["entries"][1] == {
-        "source": 2, "topic": "state", "sequence": 7, "time_ns": EPOCH_NS, "what": 20, "delay_us": 80_000
+        "source": 2, "topic": "state", "sequence": 7, "time_ns": EPOCH_NS, "what": 12, "delay_us": 80_000
     }  # fmt: skip
     content["entries"][0]["topic"] = "hands"
     with pytest.raises(ValueError, match="not in tuple"):

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from handfast.agent.common.time import LocalTime
-from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.fleet.fault_rules import ClockError, FaultsSection, Rule
 from handfast.agent.fleet.loading import to_dict
 from handfast.agent.fleet.model import Fleet, FleetError
 from handfast.agent.messages import key_expressions
@@ -268,9 +268,7 @@ def test_checks_and_leave_to_resume_are_recorded_and_are_not_foreign(tmp_path: P
 
 @pytest.mark.parametrize(("skew", "drift"), [(0.3, 0.0), (-900.0, 0.0), (0.1, 0.002), (0.0, -0.001)])
 def test_stamps_of_a_clock_that_is_wrong_on_purpose_are_set_right(skew: float, drift: float) -> None:
-    wrong = replace(
-        FLEET, faults=FaultsSection(rules=(Rule(robot=2, clock_skew=skew, clock_drift=drift or None),))
-    )
+    wrong = replace(FLEET, faults=FaultsSection(rules=(Rule(robot=2, clock_skew=ClockError(skew, drift)),)))
     clock = LocalTime(round(skew * 1e9), drift, EPOCH_NS)
     right = list(messages(FLEET, in_formation(FLEET, 0.5)))
     sent = [

@@ -169,7 +169,7 @@ def test_what_was_done_to_messages(tmp_path: Path) -> None:
     rows = read_csv(folder / "export" / "links.csv")
     assert list(rows[0]) == [
         "t_s", "source", "destination", "topic", "sequence", "lost", "duplicated", "corrupted", "reordered",
-        "held", "range", "overflow", "delay_s",
+        "range", "overflow", "delay_s",
     ]  # fmt: skip
     assert {(row["source"], row["destination"], row["topic"]) for row in rows} == {("1", "2", "hand")}
     assert {(row["lost"], row["delay_s"]) for row in rows} == {("true", ""), ("false", "0.03")}

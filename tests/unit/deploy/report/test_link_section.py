@@ -91,7 +91,7 @@ def test_without_faults_there_is_no_section(tmp_path: Path) -> None:
 
 def link(number: int, rate: float, age: float, asked: str = "loss 9%") -> dict[str, Any]:
     delay = {"mean": None, "p50": None, "p95": None, "max": None}
-    counts = dict.fromkeys(("duplicated", "corrupted", "reordered", "held", "overflow", "range"), 0)
+    counts = dict.fromkeys(("duplicated", "corrupted", "reordered", "overflow", "range"), 0)
     return {
         "link": f"{number}->{number + 1}", "topic": "hand", "asked": asked, "decided": 100,
         "injected": {"lost": 9, "rate": rate, **counts, "delay_ms": delay},

@@ -94,7 +94,7 @@ def test_orders_by_hand() -> None:
     simulation, heard = simulated()
     simulation.start(DRIVE_NS)
     simulation.run_until(simulation.epoch_ns + NS_PER_S)
-    simulation.give(order("stop", reason="by hand"))
+    simulation.give(order("stop"))
     simulation.run_until(simulation.now_ns + 2 * NS_PER_S)
     assert set(states(simulation).values()) == {State.STOPPED}
     assert all(
@@ -128,7 +128,7 @@ id = 1
 x_m = 0
 y_m = 0
 """
-    text = alone + table(1, "stop", 'reason = "x"') + rule
+    text = alone + table(1, "stop") + rule
     simulation, heard = listened(square(text=text))
     simulation.start(DRIVE_NS)
     simulation.run_until(simulation.epoch_ns + 6 * NS_PER_S)

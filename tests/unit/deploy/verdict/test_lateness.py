@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.fleet.fault_rules import FaultsSection, Rule
+from handfast.agent.fleet.fault_rules import FaultsSection, Rule, TickJitter
 from handfast.agent.messages.types import Event, Status
 from handfast.deploy.recording.recording import Recording
 from handfast.deploy.verdict.lateness import late_robots, warnings
@@ -64,11 +64,14 @@ def test_hosts_are_named() -> None:
 @pytest.mark.parametrize(
     ("rule", "explains"),
     [
-        (Rule(tick_jitter=0.02), True),
-        (Rule(tick_jitter=0.019), False),  # less than a period skips no tick
-        (Rule(tick_jitter=0.02, robot=(3,)), False),
-        (Rule(tick_jitter=0.02, tick_jitter_share=0.01), False),
-        (Rule(tick_jitter=0.02, at=1.0, duration=0.5), False),  # half of the ticks were skipped before
+        (Rule(tick_jitter=TickJitter(0.02)), True),
+        (Rule(tick_jitter=TickJitter(0.019)), False),  # less than a period skips no tick
+        (Rule(tick_jitter=TickJitter(0.02), robot=(3,)), False),
+        (Rule(tick_jitter=TickJitter(0.02, 0.01)), False),
+        (
+            Rule(tick_jitter=TickJitter(0.02), at=1.0, duration=0.5),
+            False,
+        ),
     ],
 )
 def test_a_rule_explains_what_it_can_have_caused(rule: Rule, explains: bool) -> None:

@@ -10,7 +10,6 @@ from handfast.agent.formation.geometry import resolve
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.types import (
     DUPLICATED,
-    HELD,
     LOST,
     OVERFLOW,
     RANGE,
@@ -80,7 +79,7 @@ def test_what_was_done_is_counted_by_message_and_by_copy() -> None:
             (1, 0, 4, t + 4, LOST | OVERFLOW, -1),  # the first copy, and the second came
             (1, 0, 4, t + 4, DUPLICATED, 300),
             (1, 0, 5, t + 5, REORDERED, 0),
-            (1, 0, 6, t + 6, HELD, 600),
+            (1, 0, 6, t + 6, 0, 600),
             (1, 0, 7, t + 7, 0, 250),
             (1, 0, 7, t + 7, DUPLICATED, 250),
             (3, 0, 6, t + 6, 0, 5_000),
@@ -91,7 +90,7 @@ def test_what_was_done_is_counted_by_message_and_by_copy() -> None:
     assert (first["link"], first["topic"], first["decided"]) == ("1->2", "hand", 7)
     assert first["injected"] == {
         "lost": 2, "rate": pytest.approx(2 / 7, abs=1e-6), "duplicated": 2, "corrupted": 0, "reordered": 1,
-        "held": 1, "overflow": 1, "range": 1,
+        "overflow": 1, "range": 1,
         "delay_ms": {"mean": 0.25, "p50": 0.25, "p95": pytest.approx(0.525), "max": 0.6},
     }  # fmt: skip
     assert (second["link"], second["decided"], second["injected"]["delay_ms"]["max"]) == ("3->2", 1, 5.0)

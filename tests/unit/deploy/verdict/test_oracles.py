@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from handfast.agent.fleet.fault_rules import Effect, FaultsSection, Partition, Rule
+from handfast.agent.fleet.fault_rules import ClockError, Effect, FaultsSection, Partition, Rule, TickJitter
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection
@@ -330,7 +330,7 @@ def test_agent_dead(what: str) -> None:
 
 
 def test_agent_dead_where_ticks_come_late() -> None:
-    late = replace(PAIR, faults=FaultsSection(rules=(Rule(tick_jitter=0.4),)))
+    late = replace(PAIR, faults=FaultsSection(rules=(Rule(tick_jitter=TickJitter(0.4)),)))
     gone = [event(1.0, 2, "agent", "kill")]
     assert found("agent_dead", late, extra=gone, change=braking(2, 1.6)) == []
     assert found("agent_dead", PAIR, extra=gone, change=braking(2, 1.6))
@@ -545,7 +545,6 @@ def test_one_mission_excuses_news_cut_links_and_agents_that_are_gone() -> None:
         ({"loss": Effect(Loss.parse("0%"), Loss.parse("60%"))}, True),
         ({"delay": Effect(Delay.parse("100ms 20ms"))}, False),
         ({"delay": Effect(Delay.parse("600ms"))}, True),
-        ({"hold": True}, True),
         ({"partition": Partition.parse("1 | 2")}, True),
     ):
         faulty = replace(PAIR, faults=FaultsSection(rules=(Rule(at=1.0, **kwargs),)))
@@ -659,7 +658,7 @@ def test_where_links_fail_all_the_time_a_robot_may_hold_now_and_then() -> None:
 
 
 def test_a_robot_whose_clock_is_ahead_ends_its_drive_sooner() -> None:
-    ahead = replace(LONG, faults=FaultsSection(rules=(FAULT, Rule(robot=2, clock_skew=0.5))))
+    ahead = replace(LONG, faults=FaultsSection(rules=(FAULT, Rule(robot=2, clock_skew=ClockError(0.5)))))
     for begin_s, fires in ((29.55, False), (29.2, True)):
         change = both(saying(2, "stopping", begin_s, 40.0), shifted)
         recording = recorded(ahead, *_in_place(ahead), change=change)
@@ -735,7 +734,7 @@ def test_a_fleet_to_which_nothing_happens_is_formed() -> None:
     for calm in (LONG, late("1s"), late("300ms", loss=Effect(Loss.parse("50%")))):
         (sentence,) = found("formed", calm, standing(0, 0), off) or []
         assert sentence.startswith(apart), sentence
-    for harsh in (late("2s"), late("0ms", loss=Effect(Loss.parse("60%"))), late("0ms", hold=True)):
+    for harsh in (late("2s"), late("0ms", loss=Effect(Loss.parse("60%")))):
         assert found("formed", harsh, standing(0, 0), off) is None
     cut = replace(LONG, faults=FaultsSection(rules=(Rule(partition=Partition.parse("1 | 2"), at=3.0),)))
     assert found("formed", cut, standing(0, 0), off) is None

@@ -33,7 +33,7 @@ RULE = "faults.rule=[{%s}]"
         (lattice(30, 10.0, RULE % "name='a',robot=7,kill='plant',at=1"), [[*range(1, 7), *range(8, 31)]]),
         (lattice(30, 10.0, RULE % "name='a',robot=7,kill='agent',at=1"), [range(1, 31)]),
         (lattice(30, 10.0, RULE % "name='a',robot=7,clock_skew=0.1"), [[*range(1, 7), *range(8, 31)]]),
-        (lattice(30, 10.0, RULE % "name='a',clock_drift=0.001"), []),
+        (lattice(30, 10.0, RULE % "name='a',clock_skew='0s 1000ppm'"), []),
         (lattice(30, 10.0, "robot.3.plant=handfast.plant.backend:Plant"), [[1, 2, *range(4, 31)]]),
     ],
 )

@@ -53,11 +53,10 @@ def rule(text: str) -> Rule:
         ({"robot": "3", "topic": "state", "delay": "5ms"}, "delay 5ms on state, links of robot 3"),
         ({"partition": "1,2 | 3", "for": "2s"}, "partition 1,2 | 3"),
         ({"partition": "alone 3", "delay": "1s"}, "partition alone 3: delay 1s"),
-        ({"link": "*->3", "hold": "true"}, "hold on *->3"),
         ({"topic": "all", "loss": "1%"}, "loss 1% on all topics, every link"),
         ({"robot": "1", "position_bias_m": "10cm,-0.2"}, "position_bias_m 0.1 -0.2 of robot 1"),
         ({"tick_jitter": "5ms"}, "tick_jitter 5ms of every robot"),
-        ({"link": "1->2", "limit": "5", "rate": "1kbit", "name": "42"}, "rate 1kbit, limit 5 on 1->2"),
+        ({"link": "1->2", "rate": "1kbit limit 5", "name": "42"}, "rate 1kbit limit 5 on 1->2"),
     ],
 )
 def test_options_make_a_rule(given: dict[str, str], says: str) -> None:
@@ -91,11 +90,11 @@ def test_what_is_wrong_is_said_by_its_option(given: dict[str, str], says: str) -
 def test_every_field_of_a_rule_has_an_option_with_help(capsys: pytest.CaptureFixture[str]) -> None:
     parser = argparse.ArgumentParser(prog="handfast")
     add_arguments(parser)
-    options = parser.parse_args(["set", "pair", "--position-bias-m=1,2", "--for", "1s", "--hold"])
+    options = parser.parse_args(["set", "pair", "--position-bias-m=1,2", "--for", "1s"])
     given = {
         key: value for key, value in vars(options).items() if key.startswith("rule.") and value is not None
     }
-    assert given == {"rule.position_bias_m": "1,2", "rule.for": "1s", "rule.hold": "true"}
+    assert given == {"rule.position_bias_m": "1,2", "rule.for": "1s"}
     with pytest.raises(SystemExit):
         parser.parse_args(["set", "--help"])
     text = capsys.readouterr().out
