@@ -93,16 +93,20 @@ def _made_late(recording: Recording, robot: int) -> list[tuple[float, float]]:
 
 
 def _late_laws(recording: Recording) -> list[str]:
-    """A sentence for each robot whose ticks took so long with the law of a plugin that it skipped others."""
+    """A sentence about robots whose ticks took so long with the law of a plugin that they skipped others."""
     law, period_us = recording.fleet.control.law, 1e6 / recording.fleet.fleet.rate_hz
-    out = []
+    slow: dict[int, int] = {}
+    took_us: list[float] = []
     for robot, data in recording.robots.items() if law is not None else ():
         skipped = data.status.totals().get("overruns", 0)
         long_us = data.status.tick_us[data.status.tick_us > SHARE_MAX * period_us]
         explains = len(long_us) > 0 and float(long_us.sum()) > 0.5 * skipped * period_us
         if skipped > SKIPPED_SHARE * len(data.status.tick_us) and explains:
-            out.append(
-                f"Robot {robot} skipped {skipped} ticks: there one takes {np.median(long_us) / 1e3:.3g} ms, "
-                f"of {period_us / 1e3:.3g} ms; the law {law} may be too slow."
-            )
-    return out
+            slow[robot] = skipped
+            took_us += long_us.tolist()
+    if not slow:
+        return []
+    return [
+        f"{robots(slow).capitalize()} skipped {sum(slow.values())} ticks: there one takes "
+        f"{np.median(took_us) / 1e3:.3g} ms, of {period_us / 1e3:.3g} ms; the law {law} may be too slow."
+    ]

@@ -87,6 +87,7 @@ def test_each_failure_is_one_clear_line_and_the_others_run(hosts: Hosts, cache: 
 @pytest.mark.long
 def test_what_was_wrong_can_be_mended_and_up_goes_on(hosts: Hosts, cache: Path, tmp_path: Path) -> None:
     fleet = FleetOnHosts(hosts, tmp_path, tables(hosts), cache)
+    fleet.handfast("keys")
     fleet.handfast("up", "--host", "host1", "--host", "host10", status=1, timeout=UP_TIMEOUT_S)
     hosts[WITHOUT_SSH].start_sshd()
     done = fleet.handfast("up", "--host", "host10", "--host", "host1", timeout=UP_TIMEOUT_S)
