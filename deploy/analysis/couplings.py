@@ -326,5 +326,5 @@ def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
 
     try:
         return patience.answer("modes()", attempted)
-    except (TimeoutError, ChildProcessError) as error:
+    except TimeoutError as error:
         raise own_law.LawError(f"law {fleet.control.law}: {error}") from None

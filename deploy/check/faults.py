@@ -8,26 +8,21 @@ from math import inf
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.peers.lateness import LATE_MAX_NS
 from handfast.agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import start_hands
-from handfast.agent.impairments.impairments import Delay, Loss
+from handfast.agent.impairments.impairments import Delay
 from handfast.agent.links.fault_plan import FaultPlan, LinkEffects
 from handfast.agent.messages.types import FUTURE_NS_MAX
-from handfast.deploy.check.finding import Finding, Level
+from handfast.deploy.check.finding import Finding
 from handfast.deploy.check.network import hand_bytes
 from handfast.deploy.console.wording import NAMES_SHOWN, robots
 from handfast.deploy.faults.rules import acts_on_links, windows, words
 from handfast.deploy.recording.tables import Link, links_of
 
-CONTRADICTIONS_MAX: Final = 12
-"""So many are said one by one."""
-SILENCES_WARN: Final = 0.05
-"""Silences beyond the horizon expected in one run, from which on they are warned of."""
 _JITTERS: Final = {"constant": 0.0, "uniform": 1.0}
 """How many jitters a delay may be above its mean; other distributions end at four."""
 _EVERYWHERE: Final = "faults"
@@ -61,11 +56,10 @@ def check_faults(fleet: Fleet) -> Iterator[Finding]:
     every = list(rules.values())
     yield from _times(every, end)
     yield from _nowhere(every)
-    yield from _contradictions(every)
+    yield from _hidden(every)
     yield from _no_start(fleet, plan, links, every)
     everywhere = _defaults(fleet, plan, links, end)
     with_defaults = [*([everywhere] if everywhere is not None else []), *every]
-    yield from _never_late(plan, with_defaults)
     yield from _late(fleet, with_defaults)
     yield from _processes(fleet, every, end)
     yield from _clocks(fleet, plan)
@@ -137,60 +131,19 @@ def _nowhere(rules: Sequence[_Rule]) -> Iterator[Finding]:
         )
 
 
-def _contradictions(rules: Sequence[_Rule]) -> Iterator[Finding]:
-    """Rules that give one link different values of one effect at one time; the first of them wins."""
-    found: list[Finding] = []
+def _hidden(rules: Sequence[_Rule]) -> Iterator[Finding]:
+    """Effects of rules that never take effect, as one rule before them always gives another value."""
     for k, later in enumerate(rules):
         for first in rules[:k]:
             for name in first.effects.keys() & later.effects.keys():
-                finding = _contradiction(first, later, name)
-                if finding is not None:
-                    found.append(finding)
-    yield from found[:CONTRADICTIONS_MAX]
-    if len(found) > CONTRADICTIONS_MAX:
-        yield Finding(
-            "warning",
-            "faults.rule",
-            f"{len(found) - CONTRADICTIONS_MAX} further pairs of rules give different values of one effect "
-            "at the same place and time",
-        )
-
-
-def _contradiction(first: _Rule, later: _Rule, name: str) -> Finding | None:
-    one, other = str(first.effects[name]), str(later.effects[name])
-    common = first.links & later.links
-    moment = _overlap(first.times, later.times)
-    if one == other or not common or moment is None:
-        return None
-    link = min(common, key=lambda each: (each.topic, each))
-    way = _some([link], link.topic)
-    said = (
-        f"{_named(first)} and {_named(later)} give {way} different values of {name} from {moment:g} s on: "
-        f"{one} and {other}; the one that comes first in the file, {_named(first)}, wins"
-    )
-    if later.links <= common and _covers(first.times, later.times):
-        return Finding(
-            "warning",
-            later.place,
-            f"{said}. So {name} of {_named(later)} never takes effect: put the narrower rule first",
-        )
-    narrower = first.links <= common and _covers(later.times, first.times)
-    level: Level = "info" if narrower else "warning"
-    return Finding(level, later.place, said)
-
-
-def _overlap(a: Sequence[tuple[float, float]], b: Sequence[tuple[float, float]]) -> float | None:
-    """The first moment within a window of each; both ascend."""
-    i = j = 0
-    while i < len(a) and j < len(b):
-        start, end = max(a[i][0], b[j][0]), min(a[i][1], b[j][1])
-        if start < end:
-            return start
-        if a[i][1] <= b[j][1]:
-            i += 1
-        else:
-            j += 1
-    return None
+                one, other = str(first.effects[name]), str(later.effects[name])
+                if one != other and later.links <= first.links and _covers(first.times, later.times):
+                    yield Finding(
+                        "warning",
+                        later.place,
+                        f"{name} of {_named(later)} ({other}) never takes effect: {_named(first)} ({one}) "
+                        "comes first in the file and holds on all of its links; put the narrower rule first",
+                    )
 
 
 def _covers(a: Sequence[tuple[float, float]], b: Sequence[tuple[float, float]]) -> bool:
@@ -314,23 +267,7 @@ def _late(fleet: Fleet, rules: Sequence[_Rule]) -> Iterator[Finding]:
                     f"{_named(each)} lets nothing through on {_some(each.links, topic)} for {silent:g} s, "
                     f"longer than {consequence} until it heals",
                 )
-            yield from _gaps(fleet, each, topic, limit, name, then)
         yield from _crowded(fleet, each)
-
-
-def _never_late(plan: FaultPlan, rules: Iterable[_Rule]) -> Iterator[Finding]:
-    """Messages that are to overtake others where none of these ever waits, which netem refuses."""
-    for each in rules:
-        waits = (
-            "delay" in effects for link in each.links for _, effects in plan.rules_of_link(*link).asked()
-        )
-        if "reorder" in each.effects and each.links and not any(waits):
-            yield Finding(
-                "warning",
-                f"{each.place}.reorder",
-                f"{_named(each)}: reorder sends some messages at once while the others wait their delay, and "
-                "there is none: it does nothing; give a delay",
-            )
 
 
 def _some(links: Iterable[Link], topic: str) -> str:
@@ -350,22 +287,12 @@ def _delayed(each: _Rule, topic: str, limit: float, consequence: str) -> Iterato
     if effect is None:
         return
     delays: list[Delay] = _ends(effect)
-    usual = max(delay.mean for delay in delays)
     most = max(delay.mean + _JITTERS.get(delay.distribution, 4.0) * delay.jitter for delay in delays)
-    place = f"{each.place}.delay"
-    if usual >= limit:
+    if most >= limit:
         yield Finding(
             "warning",
-            place,
-            f"{_named(each)}: {topic} comes {usual:g} s late, more than {consequence}, all the time",
-        )
-    elif most >= limit:
-        yield Finding("warning", place, f"{_named(each)}: {topic} comes up to {most:g} s late; {consequence}")
-    elif topic != "hand" and usual >= 0.5 * limit:
-        yield Finding(
-            "warning",
-            place,
-            f"{_named(each)}: {topic} comes {usual:g} s late, which leaves little of {consequence}",
+            f"{each.place}.delay",
+            f"{_named(each)}: {topic} comes up to {most:g} s late; {consequence}",
         )
 
 
@@ -396,66 +323,6 @@ def _crowded(fleet: Fleet, each: _Rule) -> Iterator[Finding]:
             f"states take at {fleet.fleet.rate_hz:g} Hz: they come ever later until the queue is full "
             "(limit), and then some are lost; take more, or a short limit",
         )
-
-
-def _gaps(fleet: Fleet, each: _Rule, topic: str, limit: float, name: str, then: str) -> Iterator[Finding]:
-    """Losses so high that by chance alone nothing comes for longer than a robot tolerates."""
-    effect = each.effects.get("loss")
-    if effect is None:
-        return
-    delay = each.effects.get("delay")
-    rate = fleet.fleet.rate_hz
-    left = limit - (max(one.mean for one in _ends(delay)) if delay is not None else 0.0)
-    loss: Loss = max(_ends(effect), key=lambda one: float(one.rate))
-    links = sum(link.topic == topic for link in each.links)
-    hourly = 3600.0 * rate * links * silences(loss, max(int(left * rate), 1))
-    held = sum(last - first for first, last in each.times)
-    one = f"one of {links} link{'s' * (links != 1)}"
-    what = f"nothing will come on {one} for longer" if left == limit else f"the last over {one} will be older"
-    if left > 0.0 and loss.rate < 1.0 - 1e-9 and hourly * held / 3600.0 > SILENCES_WARN:
-        often = f"{hourly:.3g} times an hour" if hourly < 3600.0 else f"{hourly / 3600.0:.3g} times a second"
-        yield Finding(
-            "warning",
-            f"{each.place}.loss",
-            f"{_named(each)} ({loss}): by chance {what} than {name} = {limit:g} s, about {often}; {then}",
-        )
-
-
-def silences(loss: Loss, length: int) -> float:
-    """How often at least `length` messages in a row are lost, per message.
-
-    With the chain's matrix T and the loss of each state on a diagonal L: pi (1 - L) (T L)^length summed.
-    """
-    numbers = loss.numbers
-    if loss.kind == "every":
-        return 0.0
-    if loss.kind == "random":
-        p, c = numbers
-        enter = p * (1.0 - c)
-        move, lost = [[1.0 - enter, enter], [1.0 - enter - c, enter + c]], [0.0, 1.0]
-    elif loss.kind == "gemodel":
-        p, r, bad, good = numbers
-        move, lost = [[1.0 - p, p], [r, 1.0 - r]], [good, bad]
-    else:
-        p13, p31, p32, p23, p14 = numbers
-        move = [
-            [1.0 - p13 - p14, 0.0, p13, p14],
-            [0.0, 1.0 - p23, p23, 0.0],
-            [p31, p32, 1.0 - p31 - p32, 0.0],
-            [1.0, 0.0, 0.0, 0.0],
-        ]
-        lost = [0.0, 0.0, 1.0, 1.0]
-    matrix, losing = np.array(move), np.array(lost)
-    share = _stationary(matrix)
-    after = (share * (1.0 - losing)) @ np.linalg.matrix_power(matrix * losing, length)
-    return float(after.sum())
-
-
-def _stationary(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    n = len(matrix)
-    equations = np.vstack([matrix.T - np.eye(n), np.ones(n)])
-    share: NDArray[np.float64] = np.linalg.lstsq(equations, np.array([0.0] * n + [1.0]), rcond=None)[0]
-    return share
 
 
 # --- processes and clocks ---------------------------------------------------------------------
@@ -502,47 +369,35 @@ def _processes(fleet: Fleet, rules: Sequence[_Rule], end: float) -> Iterator[Fin
 
 
 def _clocks(fleet: Fleet, plan: FaultPlan) -> Iterator[Finding]:
-    limit = FUTURE_NS_MAX / 1e9
-    worst: tuple[float, int, int] | None = None
-    for i, j in fleet.formation.edges:
-        ahead = (plan.clock(i)[0] - plan.clock(j)[0]) / 1e9
-        found = (ahead, i, j) if ahead > 0 else (-ahead, j, i)
-        worst = found if worst is None or found > worst else worst
-    if worst is not None and worst[0] > limit:
-        ahead, i, j = worst
-        number = next(
-            number
-            for number, rule in enumerate(plan.file_rules(), 1)
-            if rule.clock_skew is not None and (rule.robots is None or {i, j} & set(rule.robots))
-        )
-        late = any("delay" in effects for _, effects in plan.rules_of_link(i, j, "hand").asked())
-        yield Finding(
-            "warning" if late else "error",
-            f"faults.rule[{number}].clock_skew",
-            f"robot {i}'s clock is {ahead:g} s ahead of that of its neighbour {j}, which refuses messages "
-            f"from more than {limit:g} s in the future: "
-            + ("unless they are late by the rest, " if late else "")
-            + "the fleet cannot start",
-        )
+    """The two neighbours whose clocks differ most, at the start or, by their drift, at the end of the run."""
+    limit = FUTURE_NS_MAX / NS_PER_S
+    found = [
+        (_ahead_s(plan, *pair, after_s), -after_s, pair)
+        for after_s in (0.0, fleet.fleet.duration_s)
+        for i, j in fleet.formation.edges
+        for pair in ((i, j), (j, i))
+    ]
+    ahead_s, after_s, (i, j) = max(found, default=(0.0, 0.0, (0, 0)))
+    if ahead_s <= limit:
         return
-    drifts = [_apart_from(plan, i, j, limit) for i, j in fleet.formation.edges]
-    after_s, ahead, behind = min(drifts, default=(inf, 0, 0))
-    if after_s < fleet.fleet.duration_s:
-        number = next(
-            n for n, rule in enumerate(plan.file_rules(), 1) if rule.clock_skew and rule.clock_skew.drift
-        )
-        yield Finding(
-            "warning",
-            f"faults.rule[{number}].clock_skew",
-            f"after {after_s:.3g} s robot {ahead}'s clock is {limit:g} s ahead of that of its neighbour "
-            f"{behind}, which refuses messages from more than that in the future: they are lost",
-        )
+    number = next(
+        number
+        for number, rule in enumerate(plan.file_rules(), 1)
+        if rule.clock_skew is not None and (rule.robots is None or {i, j} & set(rule.robots))
+    )
+    late = any("delay" in effects for _, effects in plan.rules_of_link(i, j, "hand").asked())
+    unless = "unless they are late, " if late else ""
+    at_start = _ahead_s(plan, i, j, 0.0) > limit
+    follows = "the fleet cannot start" if at_start else "they are lost"
+    yield Finding(
+        "error" if at_start and not late else "warning",
+        f"faults.rule[{number}].clock_skew",
+        f"robot {i}'s clock is {ahead_s:.3g} s ahead of that of its neighbour {j} after {-after_s:g} s. It "
+        f"refuses messages from more than {limit:g} s in the future: {unless}{follows}",
+    )
 
 
-def _apart_from(plan: FaultPlan, i: int, j: int, limit: float) -> tuple[float, int, int]:
-    """When the clock of one of two is `limit` ahead of the other's: s, inf for never; whose; of whose."""
+def _ahead_s(plan: FaultPlan, i: int, j: int, after_s: float) -> float:
+    """How far the clock of i is ahead of that of j so long after the start, s."""
     (skew_i, drift_i), (skew_j, drift_j) = plan.clock(i), plan.clock(j)
-    ahead, drift = (skew_i - skew_j) / 1e9, drift_i - drift_j
-    if drift < 0.0:
-        return (limit + ahead) / -drift, j, i
-    return ((limit - ahead) / drift if drift > 0.0 else inf), i, j
+    return (skew_i - skew_j) / NS_PER_S + (drift_i - drift_j) * after_s

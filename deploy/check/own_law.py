@@ -34,7 +34,7 @@ def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     except LawError as error:
         yield Finding("error", "control.law", str(error))
         return
-    except (TimeoutError, ChildProcessError) as error:
+    except TimeoutError as error:
         yield Finding("error", "control.law", f"law {name}: {error}, where the fleet starts")
         return
     given, right = 0 if modes is None else len(modes.modes(geometry)), 2 * len(fleet.members)

@@ -55,7 +55,7 @@ def _answers(fleet: Fleet, name: str, robots: Sequence[int]) -> list[tuple[int, 
 
     try:
         return patience.answer("it", asked)
-    except (TimeoutError, ChildProcessError) as error:
+    except TimeoutError as error:
         return [(robots[0], "error", f"plant {name}: {error}, where its robot starts")]
 
 

@@ -6,16 +6,13 @@ import re
 
 import pytest
 
-from handfast.agent.common.random_streams import stream
 from handfast.agent.fleet.loading import load_fleet, parse_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.formation.geometry import resolved
-from handfast.agent.impairments.impairments import Loss
 from handfast.agent.messages.codec import encode
 from handfast.agent.messages.types import HandState
 from handfast.deploy.check.check import Finding, check
 from handfast.deploy.check.description import describe
-from handfast.deploy.check.faults import silences
 from handfast.deploy.console.data_files import FLEETS
 from tests.unit.deploy.simulated_run import driven
 
@@ -52,34 +49,6 @@ def test_sound_faults_have_nothing_to_report() -> None:
     assert found('[faults]\ndelay = "500ms"\nloss = "30%"\n') == []
     assert found(CUT + rule('link = "1->2"', 'delay = "normal 80ms 20ms"', "at = 8", "for = 3")) == []
     assert found(rule('topic = "wrench"', "robot = 1", 'delay = "40ms"')) == []
-
-
-@pytest.mark.parametrize(
-    ("faults", "place", "who"),
-    [
-        ('[faults]\nreorder = "25%"\n', "faults.reorder", "[faults]"),
-        (rule('name = "x"', 'link = "1->2"', 'reorder = "25%"'), "faults.rule[1].reorder", "'x'"),
-        (
-            rule('name = "x"', 'link = "1->2"', 'reorder = "25%"') + rule('link = "1->3"', 'delay = "50ms"'),
-            "faults.rule[1].reorder",
-            "'x'",
-        ),
-    ],
-)
-def test_reordering_where_nothing_is_late(faults: str, place: str, who: str) -> None:
-    finding = one(faults)
-    assert (finding.level, finding.place) == ("warning", place)
-    assert finding.message == (
-        f"{who}: reorder sends some messages at once while the others wait their delay, and there is none: "
-        "it does nothing; give a delay"
-    )
-
-
-def test_reordering_of_what_another_rule_delays() -> None:
-    late = '[faults]\ndelay = "50ms"\n'
-    assert found(late.rstrip() + '\nreorder = "25%"\n') == []
-    assert found(late + rule('link = "1->2"', 'reorder = "25%"')) == []
-    assert found(rule('link = "1->2"', 'reorder = "25%"') + rule("robot = 2", 'delay = "50ms"')) == []
 
 
 # --- when and where ---------------------------------------------------------------------------
@@ -119,25 +88,10 @@ def test_a_rule_for_no_link(where: str, field: str, says: str) -> None:
 A = ('name = "a"', 'link = "1->2"', 'loss = "30%"')
 
 
-def test_rules_that_cross_say_which_wins_where_and_when() -> None:
-    other = rule('name = "b"', "robot = 1", 'loss = "50%"', "at = 1", "for = 10")
-    finding = one(rule(*A, "at = 5") + other)
-    assert (finding.level, finding.place) == ("warning", "faults.rule[2]")
-    assert finding.message == (
-        "'a' and 'b' give 1->2 different values of loss from 5 s on: 30% and 50%; the one that comes "
-        "first in the file, 'a', wins"
-    )
-
-
-def test_a_narrower_rule_before_a_wider_one_is_how_it_is_meant() -> None:
-    finding = one(rule(*A, "at = 5", "for = 1") + rule('name = "b"', "robot = 1", 'loss = "50%"'))
-    assert finding.level == "info"
-
-
 def test_a_narrower_rule_after_a_wider_one_never_takes_effect() -> None:
     finding = one(rule('name = "b"', "robot = 1", 'loss = "50%"') + rule(*A, "at = 5", "for = 1"))
     assert finding.level == "warning"
-    assert "So loss of 'a' never takes effect: put the narrower rule first" in finding.message
+    assert "loss of 'a' (30%) never takes effect: 'b' (50%) comes first" in finding.message
 
 
 @pytest.mark.parametrize(
@@ -147,26 +101,11 @@ def test_a_narrower_rule_after_a_wider_one_never_takes_effect() -> None:
         rule('link = "2->1"', 'loss = "50%"'),  # another link
         rule('link = "1->2"', 'loss = "50%"', "at = 6"),  # another time
         rule('link = "1->2"', 'loss = "30%"', "at = 5.5"),  # the same value
+        rule('name = "b"', "robot = 1", 'loss = "50%"'),  # wider
     ],
 )
-def test_rules_that_do_not_meet_do_not_contradict(other: str) -> None:
+def test_rules_that_take_effect_somewhere_are_as_meant(other: str) -> None:
     assert found(rule(*A, "at = 5", "for = 1") + other) == []
-
-
-def test_interleaved_times_do_not_meet() -> None:
-    flap = rule(*A, "at = 0", "for = 0.5", "every = 1", "until = 30")
-    other = ('link = "1->2"', 'loss = "50%"', "for = 0.4", "every = 1", "until = 30")
-    assert found(flap + rule(*other, "at = 0.5")) == []
-    assert "from 1 s on" in one(flap + rule(*other, "at = 0.7")).message
-
-
-def test_many_contradictions_are_summed_up() -> None:
-    rules = "".join(
-        rule(f'name = "r{k}"', 'link = "1->2"', f'loss = "{k}%"', f"at = {k}") for k in range(1, 8)
-    )
-    findings = found(rules)
-    assert len(findings) == 13  # 21 pairs
-    assert "9 further pairs" in findings[-1].message
 
 
 # --- what a fleet does not survive -------------------------------------------------------------
@@ -200,12 +139,12 @@ def test_what_begins_later_does_not_keep_a_fleet_from_starting() -> None:
 def test_delays_beyond_the_horizon() -> None:
     finding = one('[faults]\ndelay = "2.5s"\n')
     assert (finding.level, finding.place) == ("warning", "faults.delay")
-    assert "hand comes 2.5 s late, more than control.prediction_horizon_s = 2 s" in finding.message
+    assert "hand comes up to 2.5 s late; control.prediction_horizon_s = 2 s" in finding.message
     assert found('[faults]\ndelay = "2.5s"\n', "control.prediction_horizon_s=4") == []
     assert "comes up to 2.3 s late" in one('[faults]\ndelay = "normal 1.5s 200ms"\n').message
     assert found('[faults]\ndelay = "1.5s 200ms"\n') == []  # uniform: at most 1.7 s
     assert one(rule('delay = "0s..3s"', "at = 1", "for = 5")).message.startswith(
-        "'rule 1': hand comes 3 s late"
+        "'rule 1': hand comes up to 3 s late"
     )
 
 
@@ -215,11 +154,10 @@ def test_clocks_that_drift_apart_are_foreseen() -> None:
     assert found(drift) == []
     (finding,) = (each for each in found(drift, "fleet.duration_s=75") if "clock" in each.place)
     assert (finding.level, finding.place) == ("warning", "faults.rule[1].clock_skew")
-    assert finding.message.startswith("after 50 s robot 2's clock is 0.25 s ahead of that of its neighbour ")
+    assert finding.message.startswith("robot 2's clock is 0.375 s ahead of that of its neighbour ")
     behind = rule("robot = 2", 'clock_skew = "-100ms -0.005"')
     (finding,) = (each for each in found(behind, "fleet.duration_s=75") if "clock" in each.place)
-    assert "after 30 s robot " in finding.message
-    assert "ahead of that of its neighbour 2" in finding.message
+    assert "ahead of that of its neighbour 2 after 75 s" in finding.message
 
 
 def test_a_delay_at_which_neighbours_count_as_silent_for_ever() -> None:
@@ -234,10 +172,8 @@ def test_a_delay_at_which_neighbours_count_as_silent_for_ever() -> None:
 
 
 def test_delays_between_agent_and_plant() -> None:
-    slow = one(rule("robot = 4", 'topic = "wrench"', 'delay = "150ms"'))
-    assert "which leaves little of control.wrench_timeout_s = 0.2 s" in slow.message
     late = one(rule("robot = 4", 'topic = "state"', 'delay = "250ms"'))
-    assert "more than control.plant_timeout_s = 0.2 s: an agent that hears nothing newer" in late.message
+    assert "late; control.plant_timeout_s = 0.2 s: an agent that hears nothing newer" in late.message
 
 
 def test_silences_longer_than_the_horizon_are_told() -> None:
@@ -248,36 +184,6 @@ def test_silences_longer_than_the_horizon_are_told() -> None:
     assert "for 4 s, longer than control.prediction_horizon_s" in held.message
     plant = one(rule("robot = 2", 'topic = "state"', 'loss = "100%"', "at = 5", "for = 1"))
     assert plant.level == "warning"
-
-
-def test_losses_that_make_long_silences_likely() -> None:
-    finding = one('[faults]\nloss = "gemodel 2% 5%"\n')
-    assert (finding.level, finding.place) == ("warning", "faults.loss")
-    assert (
-        "on one of 18 links for longer than control.prediction_horizon_s = 2 s, about 288 times an hour"
-        in (finding.message)
-    )
-    assert found('[faults]\nloss = "gemodel 2% 20%"\n') == []
-    assert found('[faults]\nloss = "85%"\n') == []
-    # With 1.8 s of delay only 0.2 s of silence are left.
-    assert "times a second" in one('[faults]\nloss = "50%"\ndelay = "1.99s"\n').message
-
-
-@pytest.mark.parametrize(
-    "text", ["40%", "40% 50%", "gemodel 20% 40%", "gemodel 10% 40% 80% 5%", "state 20% 50% 20% 40% 5%"]
-)
-def test_silences_are_counted_as_the_links_make_them(text: str) -> None:
-    """Against 200,000 messages of the model itself."""
-    loss, length, count = Loss.parse(text), 4, 200_000
-    key = stream("silences", text)
-    lost = [loss.lost(key, k) for k in range(count)]
-    runs, current = 0, 0
-    for gone in lost:
-        current = current + 1 if gone else 0
-        runs += current == length
-    expected = silences(loss, length) * count
-    assert abs(runs - expected) < 5 * expected**0.5 + 10
-    assert silences(Loss.parse("every 3"), 3) == 0.0
 
 
 def test_a_rate_that_cannot_carry_the_messages() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from itertools import repeat
 from typing import Any
@@ -10,14 +9,13 @@ from typing import Any
 import pytest
 
 from handfast.agent.common import plugins
-from handfast.agent.control.own_law import Moment
 from handfast.agent.fleet.loading import load_fleet
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.analysis import patience
 from handfast.deploy.check.check import Finding, check
 from handfast.deploy.check.description import describe
 from handfast.deploy.console.arguments import fleet_path
-from tests.unit.agent.control.laws import Good, Modal, known
+from tests.unit.agent.control.laws import Modal, known
 
 
 class EndlessModes(Modal):
@@ -43,21 +41,7 @@ class MethodOfModes(Modal):
         return None
 
 
-class Ends(Good):
-    section = None
-    Settings = None
-
-    def acceleration(self, now: Moment) -> tuple[float, float]:
-        os._exit(7)
-
-
-class EndsModes(Modal):
-    @classmethod
-    def modes(cls, fleet: Any, settings: Any) -> Any:
-        os._exit(7)
-
-
-OWN = (EndlessModes, NumberOfModes, TextOfModes, MethodOfModes, Ends, EndsModes)
+OWN = (EndlessModes, NumberOfModes, TextOfModes, MethodOfModes)
 
 
 @pytest.fixture(autouse=True)
@@ -168,10 +152,3 @@ def test_modes_that_are_none_say_what_they_would_be(law: str):
     assert "\n" not in wrong.message
     assert "modes(cls, fleet, settings)" in wrong.message
     assert wrong.message.endswith("gives two (k1, k2, shape) for each robot, or None")
-
-
-@pytest.mark.parametrize(("law", "what"), [("Ends", "it"), ("EndsModes", "modes()")])
-def test_a_law_that_ends_its_process_is_one_error(law: str, what: str):
-    (finding,) = found(law)
-    assert finding.level == "error"
-    assert finding.message.startswith(f"law {law}: {what} ended its process (status 7)")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 
@@ -37,11 +36,6 @@ class Hangs(Good):
         return super().step(now_ns, command)
 
 
-class Ends(Good):
-    def step(self, now_ns: int, command: Command | None) -> Reading:
-        os._exit(7)
-
-
 class WithoutStep(Plant):
     pass
 
@@ -70,7 +64,7 @@ class Touched(Good):
 
 @pytest.fixture(autouse=True)
 def _known() -> Iterator[None]:
-    for plugin in (Good, Slow, Late, Heavy, Touched, Hangs, Ends, WithoutStep, Before):
+    for plugin in (Good, Slow, Late, Heavy, Touched, Hangs, WithoutStep, Before):
         plugins.register(plugin.__name__, plugin)
     yield
     plugins._registered.clear()
@@ -111,14 +105,6 @@ def test_one_that_never_returns_is_one_error(monkeypatch: pytest.MonkeyPatch) ->
     assert (finding.level, finding.message) == (
         "error",
         "plant Hangs: it did not return within 0.05 s, where its robot starts",
-    )
-
-
-def test_one_that_ends_its_process_is_one_error() -> None:
-    (finding,) = found("Ends")
-    assert (finding.level, finding.message) == (
-        "error",
-        "plant Ends: it ended its process (status 7), where its robot starts",
     )
 
 
