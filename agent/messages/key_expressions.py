@@ -67,6 +67,11 @@ def resume(fleet: str) -> str:
     return f"{fleet}/resume"
 
 
+def orders(fleet: str) -> tuple[str, ...]:
+    """All on which only operators publish, sealed in a secured fleet."""
+    return tuple(key(fleet) for key in (mission, stop, resume, faults, heartbeat, ask))
+
+
 def relayed(fleet: str, robot: int | str) -> str:
     """Operators' missions, stops and resumes as one agent relays them, byte by byte, to everybody.
 

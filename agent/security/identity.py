@@ -247,18 +247,7 @@ def access_settings(
 
 
 def _orders(fleet: str) -> list[str]:
-    return [
-        key(fleet)
-        for key in (
-            key_expressions.mission,
-            key_expressions.stop,
-            key_expressions.resume,
-            key_expressions.faults,
-            key_expressions.heartbeat,
-            key_expressions.ask,
-            key_expressions.events,
-        )
-    ]
+    return [*key_expressions.orders(fleet), key_expressions.events(fleet)]
 
 
 def _rule(name: str, messages: Sequence[str], where: Sequence[str], flow: str = "ingress") -> dict[str, Any]:

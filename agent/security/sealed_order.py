@@ -276,17 +276,7 @@ class OrderGate:
         sealer: Sealer | None,
         refused: Callable[[str], None],
     ) -> None:
-        self._orders: Final = frozenset(
-            key(fleet)
-            for key in (
-                key_expressions.mission,
-                key_expressions.stop,
-                key_expressions.resume,
-                key_expressions.faults,
-                key_expressions.heartbeat,
-                key_expressions.ask,
-            )
-        )
+        self._orders: Final = frozenset(key_expressions.orders(fleet))
         self._relayed: Final = frozenset(key_expressions.relayed(fleet, robot) for robot in robots)
         self._like_relayed: Final = tuple(key_expressions.relayed(fleet, "*").split("*"))
         self._opener, self._sealer, self._refused = opener, sealer, refused

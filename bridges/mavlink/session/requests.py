@@ -129,19 +129,14 @@ AUDITED: Final = (
     constants.FS_EKF_ACTION,
     constants.FS_EKF_THRESH,
     constants.FS_CRASH_CHECK,
-    *constants.ENFORCE,  # by now it is known which of the two names it has
     *constants.ARMING_CHECK,
     constants.BATT_FS_LOW_ACT,
     constants.BATT_FS_CRT_ACT,
     constants.BATT_LOW_VOLT,
 )
 """Where firmware versions differ in a name, both: the one that answers counts."""
-RENAMED: Final = (
-    tuple(zip(constants.GROUND_STATION_ID, constants.ENFORCE, strict=True)),
-    tuple((name,) for name in constants.ARMING_CHECK),
-)
-"""Pairs of sets of names that were given up together: a firmware has one of the two, and when any of that has
-answered, nobody asks or waits for those of the other."""
+RENAMED: Final = (constants.GROUND_STATION_ID, constants.ARMING_CHECK)
+"""Pairs of names of which a firmware has one: once that has answered, the other is not asked for."""
 
 
 def further(values: Mapping[str, float | None]) -> tuple[str, ...]:
@@ -234,9 +229,9 @@ class Parameters:
             return False
         self.values[name] = value
         self._settle(name)
-        for one, other in RENAMED:
-            for gone in other if name in one else one if name in other else ():
-                self.missing(gone)
+        for pair in RENAMED:
+            if name in pair:
+                self.missing(pair[pair[0] == name])
         return True
 
     def missing(self, name: str) -> None:

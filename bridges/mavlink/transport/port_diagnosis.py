@@ -24,27 +24,14 @@ from handfast.bridges.mavlink.transport.connection_string import Unusable
 TO_DO: Final = "; to do: "
 """Between what is wrong and what to do about it."""
 ROOT: Final = Path("/")
-PORTS: Final = ("dev/serial/by-id/*", "dev/serial[0-9]*", "dev/tty[A-Z]*[0-9]")
-KINDS: Final = ("USB", "ACM", "AMA", "THS", "S")
-"""Of /dev/tty..., those that a vehicle may be at."""
+PORTS: Final = ("dev/serial/by-id/*", "dev/ttyUSB*", "dev/ttyACM*", "dev/ttyAMA*", "dev/ttyTHS*")
 PORTS_SHOWN: Final = 6
-HOLDERS_SHOWN: Final = 3
-ANOTHER: Final = "another kind of device"
-TERMINAL: Final = "a terminal of this computer's own"
-_ALIASES: Final = 5
-"""Linux's major number of /dev/tty, /dev/console and /dev/ptmx."""
-_CONSOLES: Final = 4
-"""That of /dev/tty0 to /dev/tty63, its consoles; of serial ports from there on."""
-_CONSOLES_MAX: Final = 64
 CONSOLE: Final = "a Linux console is on it"
 MODEM_MANAGER: Final = "ModemManager"
 _MODEM: Final = (
     f"{MODEM_MANAGER} takes every new port for a modem and lets go after some seconds: "
     f"sudo systemctl disable --now {MODEM_MANAGER}"
 )
-_GETTYS: Final = ("agetty", "getty", "mgetty", "login")
-_PHANTOM: Final = "0"
-"""What /sys says of a /dev/ttyS... without hardware."""
 
 
 class Finding(NamedTuple):
@@ -64,86 +51,51 @@ class Finding(NamedTuple):
         return (OSError if self.transient else Unusable)(f"{self.text}{TO_DO}{self.remedy}")
 
 
-class Holder(NamedTuple):
-    """A process that has a port, or reads it."""
-
-    process: int
-    command: str
-
-
 def before_opening(device: str, root: Path = ROOT) -> Finding | None:
     """What can be seen without opening it; None: nothing speaks against that.
 
     Args:
-        root: where /dev, /proc and /sys are.
+        root: where /dev and /proc are.
     """
-    path = root / device[1:]
     try:
-        status = path.stat()
+        mode = (root / device[1:]).stat().st_mode
     except PermissionError:
         return refused(device, errno.EACCES, root)
     except OSError:
-        return _absent(root)
-    kind = status.st_mode
-    if not stat.S_ISCHR(kind):
-        what = "a folder" if stat.S_ISDIR(kind) else "a file" if stat.S_ISREG(kind) else "something else"
-        return _no_port(what, root)
-    major, minor = os.major(status.st_rdev), os.minor(status.st_rdev)
-    if major == _ALIASES or (major == _CONSOLES and minor < _CONSOLES_MAX):
-        return _no_port(TERMINAL, root)
-    numbers = f"{major}:{minor}"
-    class_ = root / "sys/dev/char" / numbers / "subsystem"
-    if class_.exists() and class_.resolve().name != "tty":
-        return _no_port(ANOTHER, root)
+        return refused(device, errno.ENOENT, root)
+    if not stat.S_ISCHR(mode):
+        return refused(device, errno.ENOTTY, root)
     holders = list(_holders(device, root))
-    if not holders:
-        return None
-    consoles = [holder for holder in holders if holder.command in _GETTYS]
-    if consoles:
-        return Finding(f"{CONSOLE} ({_named(consoles)})", _console_off(device, root))
-    return _taken(holders)
+    return _taken(device, holders, root) if holders else None
 
 
 def refused(device: str, number: int, root: Path = ROOT) -> Finding:
     """Why opening it failed, with that `errno`; EAGAIN: another program has its lock."""
+    there = list(_ports(root))
+    named = ", ".join(there[:PORTS_SHOWN]) or "none is there"
     if number == errno.EACCES:
         return _forbidden(root / device[1:])
     if number == errno.EPERM:
         return Finding("what this runs in, a container or a service, keeps it away", "let it have the device")
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
-        return _absent(root)
+        text = f"no such device; there are {named}" if there else "no such device; no serial port is there"
+        return Finding(text, "plug it in, or name the right one", True)
     if number in (errno.EBUSY, errno.EAGAIN):
-        found = list(_holders(device, root))
-        return _taken(found) if found else _taken_by_somebody(device, root)
+        return _taken(device, list(_holders(device, root)), root)
     if number in (errno.ENOTTY, errno.EINVAL):
-        return _no_port(ANOTHER, root)
+        return Finding("this is not a serial port", f"name a serial port: {named}")
     return Finding(os.strerror(number).lower(), "check the device")
 
 
 def console_note(device: str, root: Path = ROOT) -> str:
     """What to do when the kernel's own messages go to a port; "" when they do not."""
-    named = set()
-    for line in _text(root / "proc/consoles").splitlines():
-        named.update(line.split()[:1])
-    for word in _text(root / "proc/cmdline").split():
-        if word.startswith("console="):
-            named.add(word.removeprefix("console=").partition(",")[0])
-    if named.isdisjoint(_names(device, root)):
+    consoles = {line.split()[0] for line in _text(root / "proc/consoles").splitlines() if line.split()}
+    words = _text(root / "proc/cmdline").split()
+    consoles |= {word[8:].partition(",")[0] for word in words if word.startswith("console=")}
+    path = root / device[1:]
+    if consoles.isdisjoint({path.name, path.resolve().name}):
         return ""
     return f"{CONSOLE}: the kernel writes there{TO_DO}{_console_off(device, root)}"
-
-
-def _absent(root: Path) -> Finding:
-    there = list(_ports(root))
-    more = f" and {len(there) - PORTS_SHOWN} more" if len(there) > PORTS_SHOWN else ""
-    others = f"there are {', '.join(there[:PORTS_SHOWN])}{more}" if there else "no serial port is there"
-    return Finding(f"no such device; {others}", "plug it in, or name the right one", True)
-
-
-def _no_port(what: str, root: Path) -> Finding:
-    there = list(_ports(root))[:PORTS_SHOWN]
-    named = f"name a serial port: {', '.join(there)}" if there else "name a serial port; none is there"
-    return Finding(f"this is {what}, not a serial port", named)
 
 
 def _ports(root: Path) -> Iterator[str]:
@@ -151,63 +103,38 @@ def _ports(root: Path) -> Iterator[str]:
     seen = set()
     for pattern in PORTS:
         for path in sorted(root.glob(pattern)):
-            name, real = path.name, path.resolve()
-            if name.startswith("tty"):
-                kind = name.removeprefix("tty").rstrip("0123456789")
-                phantom = _text(root / "sys/class/tty" / name / "type").strip() == _PHANTOM
-                if kind not in KINDS or phantom:
-                    continue
-            if real not in seen and path.exists():
-                seen.add(real)
+            if path.exists() and path.resolve() not in seen:
+                seen.add(path.resolve())
                 yield f"/{path.relative_to(root)}"
 
 
-def _names(device: str, root: Path) -> set[str]:
-    path = root / device[1:]
-    return {path.name, path.resolve().name}
-
-
-def _holders(device: str, root: Path) -> Iterator[Holder]:
-    """Processes that have it open, of those that may be looked at, and gettys on it."""
-    real = root / device[1:]
-    target = f"/{real.resolve().relative_to(root.resolve())}"
-    names = _names(device, root)
-    for folder in sorted((root / "proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
-        process = int(folder.name)
-        if process == os.getpid():
-            continue
+def _holders(device: str, root: Path) -> Iterator[tuple[int, str]]:
+    """Processes that have it open, and their commands, of those that may be looked at; and gettys on it."""
+    path = (root / device[1:]).resolve()
+    target = f"/{path.relative_to(root.resolve())}"
+    for folder in (root / "proc").glob("[0-9]*"):
         words = _text(folder / "cmdline").split("\0")
         command = os.path.basename(words[0]).lstrip("-") or _text(folder / "comm").strip()
-        if command in _GETTYS and not names.isdisjoint(words[1:]):
-            yield Holder(process, command)
-            continue
         try:
             handles = [os.readlink(handle) for handle in (folder / "fd").iterdir()]
         except OSError:
-            continue  # another user's, or gone
-        if target in handles:
-            yield Holder(process, command)
+            handles = []  # another user's, or gone
+        is_getty = command.endswith("getty") and path.name in words[1:]
+        if int(folder.name) != os.getpid() and (is_getty or target in handles):
+            yield int(folder.name), command
 
 
-def _named(holders: list[Holder]) -> str:
-    shown = [f"process {holder.process}, {holder.command}" for holder in holders[:HOLDERS_SHOWN]]
-    return "; ".join(shown + ["and more"] * (len(holders) > HOLDERS_SHOWN))
-
-
-def _taken(holders: list[Holder]) -> Finding:
-    text = f"another program has it open ({_named(holders)})"
-    if any(holder.command == MODEM_MANAGER for holder in holders):
+def _taken(device: str, holders: list[tuple[int, str]], root: Path) -> Finding:
+    commands = [command for _, command in holders]
+    if not holders and any(_text(f).strip() == MODEM_MANAGER for f in (root / "proc").glob("[0-9]*/comm")):
+        commands = [MODEM_MANAGER]
+    named = "; ".join(f"process {process}, {command}" for process, command in holders)
+    text = f"another program has it open ({named})" if named else "another user's program has it open"
+    if MODEM_MANAGER in commands:
         return Finding(text, _MODEM, True)
-    return Finding(text, "end it")
-
-
-def _taken_by_somebody(device: str, root: Path) -> Finding:
-    """Another user's program: it cannot be seen which."""
-    ask = f"sudo fuser -v {device} says which"
-    for folder in (root / "proc").glob("[0-9]*"):
-        if _text(folder / "comm").strip() == MODEM_MANAGER:
-            return Finding(f"another user's program has it open, {MODEM_MANAGER} perhaps", _MODEM, True)
-    return Finding("another user's program has it open", f"{ask}: end it")
+    if any(command.endswith("getty") or command == "login" for command in commands):
+        return Finding(f"{CONSOLE} ({named})", _console_off(device, root))
+    return Finding(text, "end it" if named else f"sudo fuser -v {device} says which: end it")
 
 
 def _console_off(device: str, root: Path) -> str:
@@ -221,31 +148,23 @@ def _console_off(device: str, root: Path) -> str:
 def _forbidden(path: Path) -> Finding:
     try:
         state = path.stat()
-    except OSError:
-        return Finding("permission denied", "give this user the folder that it is in")
-    user, group = _user_name(os.geteuid()), _group_name(state.st_gid)
+        user, group = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(state.st_gid)
+    except (OSError, KeyError):
+        return Finding("permission denied", "give this user the device, or the folder that it is in")
     mine = state.st_gid in {os.getegid(), *os.getgroups()}
-    return forbidden(
-        user, group, stat.filemode(state.st_mode), mine=mine, listed=_is_listed(user, state.st_gid)
-    )
+    return forbidden(user, group.gr_name, mine=mine, listed=user in group.gr_mem)
 
 
-def forbidden(user: str, group: str, mode: str, *, mine: bool, listed: bool) -> Finding:
+def forbidden(user: str, group: str, *, mine: bool, listed: bool) -> Finding:
     """Why a user may not open a device of a group.
 
     Args:
-        mode: as `ls -l` has it.
         mine: this process is of the group. listed: the user is, in the system's list.
     """
-    if mode[4:6] != "rw":
-        rule = "give its group rw by a rule of udev"
-        return Finding(
-            f"permission denied: its mode, {mode}, lets its group {group} not read and write", rule
-        )
     if mine:
         return Finding(
             f"permission denied, though {user} is in its group, {group}",
-            "let the container or the service that this runs in have the device",
+            "give its group rw by a rule of udev, or let the container or service have the device",
         )
     if listed:
         return Finding(
@@ -256,27 +175,6 @@ def forbidden(user: str, group: str, mode: str, *, mine: bool, listed: bool) -> 
         f"permission denied: it is of group {group}, and {user} is not in that",
         f"sudo usermod -aG {group} {user}, and log in again",
     )
-
-
-def _user_name(number: int) -> str:
-    try:
-        return pwd.getpwuid(number).pw_name
-    except KeyError:
-        return f"user {number}"
-
-
-def _group_name(number: int) -> str:
-    try:
-        return grp.getgrgid(number).gr_name
-    except KeyError:
-        return f"{number}"
-
-
-def _is_listed(user: str, group: int) -> bool:
-    try:
-        return user in grp.getgrgid(group).gr_mem
-    except KeyError:
-        return False
 
 
 def _text(path: Path) -> str:

@@ -124,8 +124,7 @@ def test_the_name_that_answers_counts() -> None:
     parameters = Parameters(AUDITED)
     parameters.received("SYSID_MYGCS", 3.0)
     assert parameters.first(constants.GROUND_STATION_ID) == 3.0
-    # Those that newer firmware has renamed with it are given up with it.
-    assert parameters.values == {"SYSID_MYGCS": 3.0, "MAV_GCS_SYSID": None, "MAV_OPTIONS": None}
+    assert parameters.values == {"SYSID_MYGCS": 3.0, "MAV_GCS_SYSID": None}
     parameters.received("MAV_GCS_SYSID", 4.0)
     parameters.received("SYSID_MYGCS", 3.0)
     assert parameters.first(constants.GROUND_STATION_ID) == 4.0, "it is said, if both are told"
@@ -135,8 +134,8 @@ def test_the_name_that_answers_counts() -> None:
 
 def test_newer_names_are_given_up_with_the_older_ones_and_the_other_way_round() -> None:
     parameters = Parameters(AUDITED)
-    parameters.received("MAV_OPTIONS", 1.0)
-    assert parameters.values == {"MAV_OPTIONS": 1.0, "SYSID_MYGCS": None, "SYSID_ENFORCE": None}
+    parameters.received("MAV_GCS_SYSID", 1.0)
+    assert parameters.values == {"MAV_GCS_SYSID": 1.0, "SYSID_MYGCS": None}
     parameters.received("ARMING_CHECK", 1.0)
     assert parameters.values["ARMING_SKIPCHK"] is None
 

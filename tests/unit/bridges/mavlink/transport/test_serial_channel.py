@@ -151,12 +151,9 @@ def test_a_program_that_has_it_is_named(opened: Callable[[str], Transport], wire
         until(lambda: transport.epoch)
 
 
-@pytest.mark.parametrize(
-    ("device", "said"),
-    [("/dev/null", "this is another kind of device, not a serial port"), ("/dev", "this is a folder, not a")],
-)
-def test_what_is_no_serial_port_is_told(device: str, said: str) -> None:
-    with pytest.raises(Unusable, match=said):
+@pytest.mark.parametrize("device", ["/dev/null", "/dev"])
+def test_what_is_no_serial_port_is_told(device: str) -> None:
+    with pytest.raises(Unusable, match="this is not a serial port"):
         Serial(parse_connection(device), 57600)
 
 
