@@ -55,15 +55,16 @@ def before_opening(device: str, root: Path = ROOT) -> Finding | None:
     """What can be seen without opening it; None: nothing speaks against that.
 
     Args:
-        root: where /dev and /proc are.
+        root: where /dev, /proc and /sys are.
     """
     try:
-        mode = (root / device[1:]).stat().st_mode
+        status = (root / device[1:]).stat()
     except PermissionError:
         return refused(device, errno.EACCES, root)
     except OSError:
         return refused(device, errno.ENOENT, root)
-    if not stat.S_ISCHR(mode):
+    kind = root / f"sys/dev/char/{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}/subsystem"
+    if not stat.S_ISCHR(status.st_mode) or (kind.exists() and kind.resolve().name != "tty"):
         return refused(device, errno.ENOTTY, root)
     holders = list(_holders(device, root))
     return _taken(device, holders, root) if holders else None
