@@ -3,7 +3,7 @@
 Decisions are functions of the seed, the link and the message's number and stamp
 (`agent.links.link_emulator`). The audit makes every decision of a recording again, from its fleet file, the
 live rules that each process reported, and the messages as they were sent. It does not check decisions that
-depend on more: queues of a rate limit, range channels, and slots before a receiver knew the epoch.
+depend on more: queues of a rate limit, and range channels.
 
 A robot listens to the hand states of its neighbours, and of robots nearby. Recorded decisions are checked for
 all of them; messages without any decision are counted only for neighbours. Beacons are not recorded.
@@ -22,7 +22,7 @@ import numpy as np
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.links.fault_plan import FaultPlan
 from handfast.agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
-from handfast.agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
+from handfast.agent.messages.types import OVERFLOW, TOPICS, Faults, Wrench
 from handfast.deploy.analysis.analysis import Analysis
 from handfast.deploy.faults.rules import gives_link_effects
 from handfast.deploy.recording.recording import LiveFaults, Recording
@@ -159,7 +159,6 @@ class _Node:
     def __init__(self, recording: Recording, robot: int, role: str, plain: FaultPlan) -> None:
         self._recording, self._robot = recording, robot
         self._epoch_ns = recording.epoch_ns or 0
-        self._told_ns = min((mission.time_ns for mission in recording.missions), default=0) + _CHANGE_NS
         held = [each for each in recording.live_faults if (each.robot, each.role) == (robot, role)]
         self._changes, self._plans = _timeline(recording, held, plain)
         self._away_ns = list(_away(recording, robot, role))
@@ -229,15 +228,13 @@ class _Node:
             rules = plan.rules_of_link(link.source, link.destination, link.topic)
             if rules.idle:
                 continue
-            more = any({"rate", "range", "slot"} & effects.keys() for _, effects in rules.asked())
+            more = any({"rate", "range"} & effects.keys() for _, effects in rules.asked())
             links = LinkEmulator(plan, self._robot, {link.topic: (link.source,)})
             for k in part:
                 stamp = stamps[k]
                 if more:
                     effects = rules.effects(stamp)
-                    # Slots count from the epoch, as soon as the receiver has it.
-                    slotted = effects.slot is not None and times[k] < self._told_ns
-                    if slotted or effects.rate is not None or effects.range is not None:
+                    if effects.rate is not None or effects.range is not None:
                         beyond.add(stamp)
                 links.due(stamp)
                 links.take("", b"\0", topic, Wrench(link.source, sequences[k], stamp, 0.0, 0.0, False))
@@ -259,18 +256,12 @@ class _Node:
 
 
 def _same(found: _Copies, wanted: _Copies) -> bool:
-    if len(found) != len(wanted):
-        return False
-    # What is held is let go at a tick of the receiver, which is not recorded.
-    return all(
-        one == other or (one[0] == other[0] and one[0] & HELD)
-        for one, other in zip(sorted(found), sorted(wanted), strict=True)
-    )
+    return sorted(found) == sorted(wanted)
 
 
 def _of_more(found: _Copies, wanted: _Copies) -> bool:
-    """Return True if a queue, or the end of a live hold, may explain the difference."""
-    return any(what & (OVERFLOW | HELD) for what, _ in (*found, *wanted))
+    """Return True if a queue may explain the difference."""
+    return any(what & OVERFLOW for what, _ in (*found, *wanted))
 
 
 def _timeline(
