@@ -166,7 +166,8 @@ class Overload:
             self._spent_ns[before] = self._spent_ns.get(before, 0) + now_ns - self._looked_ns
             self._asked_ns += now_ns - self._looked_ns if self.wanted else 0
         self._looked_ns = now_ns
-        self.level = min(max(self.wanted, self.others), self._steps + 2)
+        # Another robot's word can slow this one down, not stop it.
+        self.level = min(max(self.wanted, min(self.others, self._steps + 1)), self._steps + 2)
         self._blamed = sorted(robot for robot, (wanted, _) in self._others.items() if wanted >= self.level)
         self.idle = not (self.wanted or self._others or self._late)
         if self.level != before:

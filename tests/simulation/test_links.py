@@ -75,17 +75,6 @@ def test_without_prediction_robots_are_kept_from_where_the_others_are_by_now(del
     assert closest.distance_m > SAFE_M
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("slot", ["500ms", "800ms"])
-def test_messages_that_come_in_bursts_are_not_silence(slot: str):
-    """Up to 40 at once, the youngest just sent."""
-    times, distances = driven(
-        delta("fleet.duration_s=30", f"faults.slot={slot}", "trajectory.velocity_mps=[0.7, 0]")
-    )
-    assert distances.min() > SAFE_M
-    assert back_after(times, distances) < 25.0
-
-
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("late", "duration_s"), [("500ms", 60.0), ("1s", 120.0)])

@@ -37,6 +37,8 @@ STANDS_S: Final = 1.0
 """Who hears nobody, or is told by beacons that nobody hears it, stands so long after it is given up."""
 STRETCHES_MAX: Final = 8
 """Of one robot."""
+WAY_MAX: Final = 256
+"""Points of a way that another robot has said, at most."""
 STRETCH: Final = 0.25
 """Length of one while there are enough of them, m."""
 AHEAD_S: Final = 0.1
@@ -183,7 +185,7 @@ def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -
     """The belief of a robot that stands somewhere on the straight way from (x, y) to (to_x, to_y), give or
     take `radius`: what another robot has said of it."""
     dx, dy = to_x - x, to_y - y
-    count = max(1, ceil(hypot(dx, dy) / STRETCH))
+    count = max(1, min(WAY_MAX, ceil(hypot(dx, dy) / STRETCH)))  # it may lead to the end of the world
     way = tuple((x + k / count * dx, y + k / count * dy) for k in range(count + 1))
     return _belief([Stretch(x, y, dx, dy, radius, 0.0)], way, radius)
 

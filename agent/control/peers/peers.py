@@ -262,12 +262,17 @@ class Peers:
         return None
 
     def _accept_silent(self, sender: Peer, beacon: Beacon, now_ns: int) -> None:
-        """Takes a beacon's rows about robots that somebody does not hear, where they are news here."""
+        """Takes a beacon's rows about robots that somebody does not hear, where they are news here.
+
+        What a robot says of itself counts, as long as it is heard: nobody else's word can move it.
+        """
         for said in beacon.silent:
             if said.robot == self._owner:
                 sender.knows_ns = said.time_ns - sender.clock.used_ns
                 continue
-            peer = self.get(said.robot)
+            peer = self._known.get(said.robot)
+            if peer is None or self._speaks(peer, now_ns):
+                continue
             if said.time_ns == NEVER_CAME_NS:
                 peer.never_came = True
                 continue
@@ -294,6 +299,12 @@ class Peers:
             stood = None if lately else stood_between(*way)
             peer.belief = stood and self.forecast.may_have_rolled(stood, peer.message)
             peer.time_ns = time_ns
+
+    def _speaks(self, peer: Peer, now_ns: int) -> bool:
+        """Whether a robot itself has been heard within the patience that robots have with each other."""
+        if not peer.here or peer.direct_ns == NEVER:
+            return False
+        return peer.direct_late_ns(now_ns) < self._horizon_s * NS_PER_S
 
     def silent(self, now_ns: int) -> tuple[Silent, ...]:
         """What a beacon tells of robots that are not heard."""

@@ -268,7 +268,7 @@ class SilentRows:
         """Takes that somebody, who is `near` if this robot listens to him, does not hear these robots, and
         says no more until `now_ns`."""
         until_ns = now_ns + ELSEWHERE_NS
-        for robot in robots:
+        for robot in self._known.keys() & set(robots):
             self._elsewhere[robot] = until_ns
             if near:
                 self._lacked_near[robot] = until_ns

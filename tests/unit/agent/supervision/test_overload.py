@@ -127,8 +127,8 @@ def test_where_even_that_does_not_do_it_stands_and_drives_again_by_steps() -> No
     other = Loop(steps=1)
     other.overload.heard(7, 3, other.now, 0)
     other.run(0.1, in_time)
-    assert other.overload.stands
-    told = "overloaded: the machine of robot 7 runs late: 25 Hz, stands until it does not"
+    assert not other.overload.stands, "another robot's word stops nobody"
+    told = "overloaded: the machine of robot 7 runs late: 25 Hz, slower still"
     assert other.overload.text(other.now) == told
 
 

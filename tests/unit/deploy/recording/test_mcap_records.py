@@ -34,6 +34,8 @@ from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, 
 FLEET = make_fleet(*triangle(2), duration_s=5.0, rate_hz=10.0)
 PREFIX_BYTES = 9
 """Of a record: its opcode and its length."""
+HEAD_BYTES = PREFIX_BYTES + 40 + len("zstd")
+"""Of a chunk at most: what stands before its messages."""
 Stamps = dict[str, list[int]]
 """By key, the times (ns) that plants, hands and wrenches carry."""
 
@@ -205,8 +207,8 @@ def test_all_is_read_but_the_chunks_that_are_damaged(
     has_summary = not killed and begin + length <= run.summary and how != "missing"
     if not has_summary and any(each.introduces for each in hit):
         return  # what the others are was said there alone
-    if any(each.begin <= begin and begin + length <= each.begin + 33 for each in hit):
-        # What a chunk says of itself before its checksum: its messages may be there all the same.
+    if any(each.begin <= begin and begin + length <= each.begin + HEAD_BYTES for each in hit):
+        # What a chunk says of itself before its messages, which may be there all the same.
         assert found in (read_stamps(each.stamps for each in those) for those in (sound, run.chunks))
         return
     assert found == read_stamps(each.stamps for each in sound)

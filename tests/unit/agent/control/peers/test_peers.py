@@ -319,7 +319,8 @@ def test_whoever_has_just_started_says_of_nobody_that_it_does_not_hear_him_befor
 
 def test_whom_another_does_not_hear_he_is_told_of_until_he_speaks_again():
     known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S)
-    told = beacon(5, T0)._replace(next_ms=2000, unheard=(2,))
+    seldom(known, T0 - S)
+    told = beacon(5, T0)._replace(next_ms=2000, unheard=(2, 99))
     assert known.accept_beacon(told, T0 + PERIOD) is None
     seldom(known, T0 + S)
     assert [row.robot for row in rows(known, T0 + 2 * S)] == [2], "heard here, and told of to robot 5"
