@@ -24,7 +24,14 @@ from handfast.bridges.mavlink.transport.connection_string import Unusable
 TO_DO: Final = "; to do: "
 """Between what is wrong and what to do about it."""
 ROOT: Final = Path("/")
-PORTS: Final = ("dev/serial/by-id/*", "dev/ttyUSB*", "dev/ttyACM*", "dev/ttyAMA*", "dev/ttyTHS*")
+PORTS: Final = (
+    "dev/serial/by-id/*",
+    "dev/serial[0-9]*",
+    "dev/ttyUSB*",
+    "dev/ttyACM*",
+    "dev/ttyAMA*",
+    "dev/ttyTHS*",
+)
 PORTS_SHOWN: Final = 6
 CONSOLE: Final = "a Linux console is on it"
 MODEM_MANAGER: Final = "ModemManager"
@@ -152,6 +159,11 @@ def _forbidden(path: Path) -> Finding:
         user, group = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(state.st_gid)
     except (OSError, KeyError):
         return Finding("permission denied", "give this user the device, or the folder that it is in")
+    if state.st_mode & 0o060 != 0o060:
+        return Finding(
+            f"permission denied: its mode, {stat.filemode(state.st_mode)}, lets its group not read and write",
+            "give its group rw by a rule of udev",
+        )
     mine = state.st_gid in {os.getegid(), *os.getgroups()}
     return forbidden(user, group.gr_name, mine=mine, listed=user in group.gr_mem)
 
@@ -165,7 +177,7 @@ def forbidden(user: str, group: str, *, mine: bool, listed: bool) -> Finding:
     if mine:
         return Finding(
             f"permission denied, though {user} is in its group, {group}",
-            "give its group rw by a rule of udev, or let the container or service have the device",
+            "let the container or the service that this runs in have the device",
         )
     if listed:
         return Finding(

@@ -94,7 +94,7 @@ def test_an_absent_port_names_those_that_are_there(machine: Machine) -> None:
     machine.link("/dev/serial0", "ttyAMA0")
     found = machine.look()
     assert found is not None
-    assert found.text == f"no such device; there are {BY_ID}, /dev/ttyACM0, /dev/ttyAMA0"
+    assert found.text == f"no such device; there are {BY_ID}, /dev/serial0, /dev/ttyACM0"
     assert not isinstance(found.error, Unusable), "it may be plugged in"
     assert str(found.error) == f"{found.text}; to do: plug it in, or name the right one"
 
@@ -155,6 +155,14 @@ def test_a_login_on_it_is_named_with_its_remedy(machine: Machine) -> None:
     assert found is not None
     assert found.text == "a Linux console is on it (process 9, agetty)"
     assert "serial-getty@ttyUSB0" in found.remedy
+
+
+def test_a_group_that_may_not_read_is_no_group_to_join(tmp_path: Path) -> None:
+    (tmp_path / "dev").mkdir()
+    (tmp_path / "dev/ttyS9").touch(0o600)
+    found = refused("/dev/ttyS9", errno.EACCES, tmp_path)
+    assert "lets its group not read and write" in found.text
+    assert "udev" in found.remedy
 
 
 def test_who_may_not_is_told_why_and_what_to_do() -> None:
