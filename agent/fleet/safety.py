@@ -136,7 +136,7 @@ class SupervisionSection:
     silence: Literal["drop", "hold"] = setting(
         "drop",
         "What a robot does when it has given up a neighbour: `drop`: drives on without that edge, and keeps "
-        "away from where that neighbour may be, but holds when it hears none of its neighbours any more; "
+        "away from where that neighbour may be, but holds when it hears nobody any more; "
         "`hold`: brakes until it hears all of them.",
     )
     deadman_s: float | None = setting(

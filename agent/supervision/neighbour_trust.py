@@ -15,7 +15,7 @@ from typing import Final
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.controller import Controller
 from handfast.agent.control.hand import Hand
-from handfast.agent.control.peers.peer import Peer
+from handfast.agent.control.peers.peer import NEVER, Peer
 from handfast.agent.control.peers.peers import TRUST_GAINED_S
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.safety import SLOW_SHARE
@@ -181,6 +181,7 @@ class NeighbourTrust:
         """Set `hold` and `degraded` by what was found about all edges."""
         self.hold = self.degraded = ""
         none = found.begun > 0 and found.silent + found.untold == found.begun
+        none = none and (found.untold > 0 or not self._hears_others(now_ns))
         if none or (found.silent and self._all_needed):
             if found.unasked and found.unasked == found.silent:  # it may hear them when it looks again
                 self.hold = self._overload.stall(now_ns)
@@ -193,6 +194,16 @@ class NeighbourTrust:
             self.degraded = f"without {', '.join(found.given_up)}"
         elif found.slow:
             self.degraded = f"slower: {', '.join(found.slow)}"
+
+    def _hears_others(self, now_ns: int) -> bool:
+        """Whether any robot is heard that hears this one: both know then where the other is."""
+        return any(
+            peer.here
+            and not peer.deaf
+            and peer.direct_ns != NEVER
+            and peer.direct_late_ns(now_ns) <= self._horizon_ns
+            for peer in self._controller.peers.known
+        )
 
     def missing(self, now_ns: int, *, started: bool) -> str:
         """Whom the robot lacks to begin, in words: anybody before the drive, all of them once it goes on."""
@@ -207,7 +218,8 @@ class NeighbourTrust:
             or not peer.here
             or peer.deaf
         ]
-        if not silent or (started and not self._all_needed and len(silent) < len(edges)):
+        others = len(silent) < len(edges) or self._hears_others(now_ns)
+        if not silent or (started and not self._all_needed and others):
             return self._changed_since(now_ns) if started else ""
         return f"silent neighbours: {', '.join(silent)}"
 

@@ -40,10 +40,10 @@ def check_structure(fleet: Fleet) -> Iterator[Finding]:
         shown = ", ".join("{" + some(part) + "}" for part in ids[:NAMES_SHOWN])
         more = f" and {len(ids) - NAMES_SHOWN} more" if len(ids) > NAMES_SHOWN else ""
         yield Finding(
-            "error",
+            "info",
             "formation.edges",
-            f"the graph is in {len(parts)} parts, {shown}{more}: robots of different parts know nothing of "
-            "each other; add edges that join the parts, or run them as fleets of their own",
+            f"the graph is in {len(parts)} parts, {shown}{more}: robots of different parts keep no "
+            "distance, but stay out of each other's way",
         )
     if offsets is not None and distances is not None:
         yield from _contradictions(fleet, edge_lengths(offsets, edges), distances)
@@ -126,7 +126,7 @@ def _rigidity(geometry: Geometry) -> Iterator[Finding]:
     if n < 2 or is_rigid(geometry.offsets, geometry.edges):
         return
     if not connected(n, geometry.edges):
-        return  # an error of its own
+        return  # `check_structure` says it
     ids = [geometry.ids[k] for k in loose(geometry.offsets, geometry.edges)]
     shift = f"{robots(ids)} can shift, seen from the others, with every distance kept"
     rank = rigidity_rank(geometry.offsets, geometry.edges)
