@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import signal
 import sys
@@ -197,7 +198,13 @@ def process() -> int:
     # OpenBLAS has a thread for each processor, and they spin for each other: where others use one of two,
     # what takes a second alone takes twelve. Nothing here is large enough to gain by it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ["MPLBACKEND"] = "agg"  # a notebook's, which its terminals inherit, may not be installed here
     _have_standard_streams()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(
+                errors="backslashreplace"
+            )  # a name that the terminal cannot show is no failure
     try:
         status = main()
     except SystemExit as ended:  # of the parser

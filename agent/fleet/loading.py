@@ -376,6 +376,7 @@ def _digest(fleet: Fleet) -> str:
     table = to_dict(fleet)
     for key in ("network", "host", "recording"):
         table.pop(key, None)
+    del table["fleet"]["description"]
     for robot in table["robot"]:
         robot.pop("host", None)
         for kind in plants.KINDS.values():

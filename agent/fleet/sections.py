@@ -83,7 +83,6 @@ REPLACED: Final[Mapping[str, str]] = {
     "geofence.warn_m": "it is 0.5 m",
     "faults.limit": 'it stands in rate: "100kbit limit 50"',
     "faults.rule.limit": 'it stands in rate: "100kbit limit 50"',
-    "fleet.description": "write it into a comment",
     "faults.slot": "rate and delay make messages late",
     "faults.rule.slot": "rate and delay make messages late",
     "faults.hold": "loss or a partition silences a link; pause holds a process",
@@ -135,6 +134,12 @@ class FleetSection:
     duration_s: float = setting(30.0, "How long a run drives, from the common start.", unit="s", gt=0, le=1e6)
     seed: int = setting(
         0, "Seed of everything random: noise, link faults. Same seed, same run.", ge=0, le=2**63 - 1
+    )
+    description: str = setting(
+        "",
+        "A sentence for people; nothing depends on it.",
+        lines=True,
+        example='"Six robots in a triangle"',
     )
 
 

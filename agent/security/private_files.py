@@ -12,6 +12,15 @@ BYTES_MAX: Final = 65_536
 """Of a file that is no list: keys and certificates are far smaller."""
 
 
+def home_folder() -> Path:
+    """This user's home. A user without one, as in many containers, gets a folder that does not exist: there
+    is nothing in it, and writing to it fails with a reason."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return Path("/nonexistent")
+
+
 class KeyFileError(ValueError):
     """A file or folder that cannot be used; the text says what to do, and never what is in it."""
 

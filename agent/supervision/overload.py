@@ -161,13 +161,14 @@ class Overload:
             if now_ns > until_ns:
                 del self._others[robot]
         before = self.level
-        self.others = max((wanted for wanted, _ in self._others.values()), default=0)
+        most, second = sorted((0, 0, *(wanted for wanted, _ in self._others.values())))[:-3:-1]
+        # The word of one other robot can slow this one down. It takes that of two to stop it.
+        self.others = most if second > self._steps + 1 else min(most, self._steps + 1)
         if before:
             self._spent_ns[before] = self._spent_ns.get(before, 0) + now_ns - self._looked_ns
             self._asked_ns += now_ns - self._looked_ns if self.wanted else 0
         self._looked_ns = now_ns
-        # Another robot's word can slow this one down, not stop it.
-        self.level = min(max(self.wanted, min(self.others, self._steps + 1)), self._steps + 2)
+        self.level = min(max(self.wanted, self.others), self._steps + 2)
         self._blamed = sorted(robot for robot, (wanted, _) in self._others.items() if wanted >= self.level)
         self.idle = not (self.wanted or self._others or self._late)
         if self.level != before:

@@ -218,6 +218,7 @@ robot = [
 
 [fleet]
 name = "{name}"
+description = "{robots} robots in a triangular lattice, on a circle"
 rate_hz = {rate_hz:g}
 duration_s = {duration_s:g}
 

@@ -37,7 +37,9 @@ def describe(fleet: Fleet) -> str:
     For a fleet that cannot be resolved it says what it can; `check` says why.
     """
     n, edges = len(fleet.members), len(fleet.formation.edges)
-    lines = [fleet.fleet.name]
+    description = " ".join(fleet.fleet.description.split())
+    about = f": {description}" if description else ""
+    lines = [f"{fleet.fleet.name}{about}"]
     lines.append(
         f"  {n} robot{'s' * (n != 1)} ({some([robot.id for robot in fleet.members])}), {edges} "
         f"edge{'s' * (edges != 1)}, {fleet.fleet.rate_hz:g} Hz for {fleet.fleet.duration_s:g} s, "

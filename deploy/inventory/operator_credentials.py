@@ -29,6 +29,7 @@ from handfast.agent.security.credentials import (
     store,
 )
 from handfast.agent.security.identity import MAIN, Identity, IdentityError, parse
+from handfast.agent.security.private_files import home_folder
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
@@ -49,7 +50,7 @@ def keys_folder(fleet: str) -> Path:
     if given:
         return Path(given).expanduser()
     base = os.environ.get("XDG_CONFIG_HOME", "")
-    root = Path(base) if base.startswith("/") else Path.home() / ".config"
+    root = Path(base) if base.startswith("/") else home_folder() / ".config"
     return root / "handfast" / "keys" / fleet
 
 

@@ -19,20 +19,27 @@ from handfast.agent.messages.codec import as_believed, decode, encode, newer
 from handfast.agent.messages.types import Mission, Resume, Stop
 from handfast.agent.messages.validation import Malformed
 from handfast.agent.runtime.order_store import FILE_BYTES_MAX, OrderFileError, packed, unpacked
-from handfast.agent.security.private_files import KeyFileError, exists, private_directory, read, write
+from handfast.agent.security.private_files import (
+    KeyFileError,
+    exists,
+    home_folder,
+    private_directory,
+    read,
+    write,
+)
 from handfast.deploy.console.arguments import InputError
 
 
 def cache_folder(kind: str) -> Path:
     """Where this user keeps what need not be fetched again."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    base = os.environ.get("XDG_CACHE_HOME") or str(home_folder() / ".cache")
     return Path(base) / "handfast" / kind
 
 
 def state_folder(kind: str) -> Path:
     """Where this user keeps what later commands must know."""
     base = os.environ.get("XDG_STATE_HOME", "")
-    root = Path(base) if base.startswith("/") else Path.home() / ".local" / "state"
+    root = Path(base) if base.startswith("/") else home_folder() / ".local" / "state"
     return root / "handfast" / kind
 
 

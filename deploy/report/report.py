@@ -188,6 +188,7 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         f"<title>{name}: {verdict}</title>\n"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>{CSS}</style>\n</head>\n<body>\n<h1>{name}</h1>",
+        f'<p class="soft">{escape(fleet.fleet.description)}</p>' if fleet.fleet.description else "",
         f"<p>{_what(recording, found)}</p>",
         f'<section class="verdict {verdict}">\n<h2>{verdict.capitalize()}</h2>\n'
         f"<p>{_summary(result)}</p>\n{reasons}{cautions}"

@@ -132,6 +132,7 @@ def fleets(draw: st.DrawFn) -> dict[str, Any]:
         "fleet": {
             "name": draw(st.from_regex(r"[A-Za-z0-9_-]{1,40}", fullmatch=True)),
             "rate_hz": draw(st.floats(10, 1000)),
+            "description": draw(texts),
         },
         "formation": formation,
         "control": draw(

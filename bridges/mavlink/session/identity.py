@@ -17,7 +17,7 @@ from typing import Final
 
 from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.security import private_files
-from handfast.agent.security.private_files import KeyFileError
+from handfast.agent.security.private_files import KeyFileError, home_folder
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.frames import Geodetic
 from handfast.bridges.mavlink.session.requests import AUDITED
@@ -87,7 +87,7 @@ def state_file(name: str) -> Path:
         name: of the bridge among all of this user's, as "rovers-3".
     """
     base = os.environ.get("XDG_STATE_HOME", "")
-    root = Path(base) if base.startswith("/") else Path.home() / ".local" / "state"
+    root = Path(base) if base.startswith("/") else home_folder() / ".local" / "state"
     return root / "handfast" / f"signing-{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
 
 

@@ -301,6 +301,35 @@ def test_whoever_reads_the_output_may_go() -> None:
     assert (done.returncode, done.stderr) == (141, "")
 
 
+def test_a_terminal_that_cannot_show_a_name_is_no_failure(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    text = (
+        (FLEETS / "delta.toml").read_text().replace("[fleet]", '[fleet]\ndescription = "Räder → Feld ✓"', 1)
+    )
+    file.write_text(re.sub(r'^description = "The.*\n', "", text, flags=re.MULTILINE), encoding="utf-8")
+    words = [sys.executable, "-m", "handfast.deploy.cli", "check", str(file)]
+    env = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, env=env, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "R\\xe4der" in done.stdout
+
+
+def test_a_notebooks_backend_for_figures_is_not_taken_over(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "handfast.deploy.cli", "simulate", "delta", "--duration", "1s", "--quiet"]
+    env = {**os.environ, "MPLBACKEND": "module://no_such.backend"}
+    done = subprocess.run(
+        [*words, "--out", str(tmp_path / "run")],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=env,
+        timeout=60,
+    )
+    assert done.returncode == 1, "it had not settled after a second"
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "run/report.html").exists()
+
+
 def command_line(
     *arguments: str, path: Path = ROOT, stdout: int | IO[str] = subprocess.PIPE
 ) -> subprocess.CompletedProcess[str]:

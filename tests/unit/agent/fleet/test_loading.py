@@ -362,7 +362,9 @@ def test_digest_is_over_what_robots_must_agree_on() -> None:
     base = digest(small())
     assert len(base) == 16
     assert int(base, 16) >= 0
-    assert base == digest(small("network.base_port=9000", "network.address=robots"))
+    assert base == digest(
+        small("network.base_port=9000", "network.address=robots", "fleet.description=other")
+    )
     assert base == digest(small(text=SMALL.replace("x_m = 1", "x_m = 1.0"))), "however it is written"
     different = [
         "fleet.seed=1",
@@ -432,6 +434,7 @@ def test_it_starts_without_numpy() -> None:
 @pytest.mark.parametrize("control", ["\x1b[2J", "\x07", "\x9b31m", "\u202e", "\x00"])
 def test_control_characters_are_refused_wherever_a_text_is_free(control: str) -> None:
     texts = {
+        "fleet.description": {"fleet": {"description": f"Six{control}"}},
         "faults.rule[1].name": {"faults": {"rule": [{"name": f"cut{control}", "loss": "50 %"}]}},
         "robot[1].mavlink.connection": {"robot": [{"mavlink": {"connection": f"/dev/x{control}"}}]},
     }

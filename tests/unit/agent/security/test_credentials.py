@@ -23,6 +23,7 @@ from handfast.agent.security.credentials import (
     wanting,
 )
 from handfast.agent.security.identity import of_operator, of_robot
+from handfast.agent.security.private_files import home_folder
 from handfast.deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
@@ -294,3 +295,11 @@ def test_the_robots_command(
     )
     status, _, err = run("request", "--ca", str(tmp_path / "nothing"))
     assert (status, err) == (2, f"cannot read {tmp_path / 'nothing'}: no such file or directory\n")
+
+
+def test_a_user_without_a_home_has_a_folder_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", nowhere)
+    assert not home_folder().exists()

@@ -130,6 +130,9 @@ def test_where_even_that_does_not_do_it_stands_and_drives_again_by_steps() -> No
     assert not other.overload.stands, "another robot's word stops nobody"
     told = "overloaded: the machine of robot 7 runs late: 25 Hz, slower still"
     assert other.overload.text(other.now) == told
+    other.overload.heard(8, 3, other.now, 0)
+    other.run(0.1, in_time)
+    assert other.overload.stands, "two do"
 
 
 def test_who_stands_decides_rarely_until_it_would_keep_the_rate_at_which_it_drives() -> None:

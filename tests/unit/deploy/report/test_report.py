@@ -194,9 +194,9 @@ def test_a_failed_run_with_a_released_robot_says_how_it_drives_on(tmp_path: Path
 
 
 def test_texts_of_others_are_escaped(tmp_path: Path) -> None:
-    """Reasons of states and names of counters come from outside."""
+    """Descriptions, reasons of states and names of counters come from outside."""
     attack = '<script>alert("x")</script>&amp;'
-    fleet = FLEET
+    fleet = replace(FLEET, fleet=replace(FLEET.fleet, description=attack))
     sent = []
     for received_ns, key, message in messages(fleet, in_formation(fleet)):
         if type(message) is Status:

@@ -325,7 +325,7 @@ HEAT_MAPS = {"settling_time.png", "least_distance.png", "rms_error.png", "share_
         (("faults.delay=0,1s,2s",), {"curves.png"}),
         (("control.coupling=edge,joint",), {"curves.png"}),
         (("faults.delay=0,1s,2s", "control.kp=0,1"), HEAT_MAPS),
-        (("control.coupling=edge,joint", "fleet.name='a-long-one-of-many-words',b"), HEAT_MAPS),
+        (("control.coupling=edge,joint", "fleet.description='a long one of many words',b"), HEAT_MAPS),
         (("control.kp=0,1", "faults.delay=0,1s,2s", "control.c2=0.3,0.6,1"), HEAT_MAPS),
     ],
 )

@@ -61,7 +61,7 @@ def test_what_is_half_a_range_is_refused(over: str, says: str) -> None:
     ("over", "says"),
     [
         ("fleet.name=0..5", "--over fleet.name: nothing can be drawn for it, as it is a string"),
-        ("fleet.name=0..5", "as it is a string"),
+        ("fleet.description=0..5", "as it is a string"),
         ("control.coupling=0..1", 'as it is one of "edge"'),
         ("formation.assign=0..1", "as it is true or false"),
         ("trajectory.velocity_mps=0..1", "as it is an array of 2 numbers"),
