@@ -89,6 +89,7 @@ class ConstraintAssembly:
         self.evades = ""
         self._move = rolling.STAND
         self._is_own_law = fleet.control.law is not None
+        self._is_distance_given = fleet.avoidance.distance_m is not None
 
     def find(self, scene: Scene, time_ns: int, edges: tuple[tuple[Edge, Peer], ...], grip: float) -> None:
         """Adds to `scene` all constraints on the own hand at the wall time `time_ns`, and all half planes.
@@ -342,9 +343,13 @@ class ConstraintAssembly:
         return 0.5 * self._acceleration_max * age * (1.0 / self._barrier_rate + 0.5 * age)
 
     def _keep_clear(self, scene: Scene) -> None:
-        """The same against obstacles and the geofence, which have no motion of their own."""
+        """The same against obstacles and the geofence, which do not move."""
         proximity, own = self._proximity, scene.own
+        # Obstacles do not move: nothing is gained by pushing earlier, and a wide band keeps robots from gaps
+        # that they fit through.
         band = proximity.distance - self._safe_distance
+        if not self._is_distance_given:
+            band = min(band, self._safe_distance)
         boundaries = [(each, proximity.clearance, band) for each in proximity.obstacles]
         if proximity.fence is not None:
             boundaries.append((proximity.fence, 0.0, proximity.warn))

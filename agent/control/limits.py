@@ -27,6 +27,10 @@ from handfast.agent.fleet.safety import SLOW_SHARE
 
 _ALONE: Final = 2.5
 """d_a / r_s of a formation without an edge."""
+_MOST: Final = 2.8
+"""d_a / r_s at most, however long edges are. With 2, folded formations with late links do not come apart."""
+ROLLS_S: Final = 1.0
+"""For so long a vehicle that nothing commands has rolled on when the others see it, s."""
 _SHARE: Final = 0.9
 """Largest share of what the formation puts between two robots: the rest is for errors of control."""
 _LEAST: Final = 1.05
@@ -62,13 +66,14 @@ def avoidance_distance(
         offsets: place of each member by its id.
 
     Returns:
-        Where none is given: half way between the safe distance and the shortest edge, 2.5 safe distances
-        when there is no edge; at most 0.9 of the least distance between the places of two members without an
-        edge, so that it is silent when the formation stands; at least 1.05 safe distances.
+        Where none is given: half way between the safe distance and the shortest edge, but at most 2.8 safe
+        distances, however long edges are; 2.5 where there is no edge; at most 0.9 of the least distance
+        between the places of two members without an edge, so that it is silent when the formation stands; at
+        least 1.05 safe distances.
     """
     if given is not None:
         return given
-    distance = 0.5 * (safe + min(edges.values())) if edges else _ALONE * safe
+    distance = min(0.5 * (safe + min(edges.values())), _MOST * safe) if edges else _ALONE * safe
     least = least_apart(edges, offsets, (distance / _SHARE) * (1.0 + 1e-9))  # more would change nothing
     return max(min(distance, _SHARE * least), _LEAST * safe)
 
@@ -140,8 +145,10 @@ def braking_room(fleet: Fleet) -> float:
 
 
 def sensing_distance(fleet: Fleet, distance: float) -> float:
-    """From where on a robot is listened to closely, m; `distance` is d_a."""
-    return max(distance + AHEAD_M, braking_room(fleet))
+    """From where on a robot is listened to closely, m; `distance` is d_a. Getting out of the way of a vehicle
+    that goes on by itself once nothing commands it begins further away."""
+    rolls_m = ROLLS_S * speed_max(fleet) if any(robot.kind.rolls_on_s for robot in fleet.robots) else 0.0
+    return max(distance + AHEAD_M, braking_room(fleet) + rolls_m)
 
 
 def clearance(given: float | None, safe: float) -> float:

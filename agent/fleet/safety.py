@@ -51,8 +51,8 @@ class AvoidanceSection:
     distance_m: float | None = setting(
         None,
         "d_a: robots that share no edge push each other apart when they are nearer than this. Left out: half "
-        "way between the safe distance and the shortest edge, but less than what the formation itself "
-        "puts between two such robots.",
+        "way between the safe distance and the shortest edge, at most 2.8 safe distances, and less than what "
+        "the formation itself puts between two such robots.",
         unit="m",
         gt=0,
         le=FAR_M,

@@ -33,7 +33,7 @@ from tests.chaos.text import scenario_text
 
 ROOT = Path(__file__).parents[2]
 FAILED = Outcome((Violation("separation", 9.0, "Robots 1 and 2 came too close."),), ended=IN_FORMATION)
-WALL = "\n[[obstacle]]\npoints_m = [[-0.45, -0.2], [0.45, -0.2], [0.45, 0.2], [-0.45, 0.2]]\n"
+WALL = "\n[[obstacle]]\npoints_m = [[-6.0, -0.2], [6.0, -0.2], [6.0, 0.2], [-6.0, 0.2]]\n"
 
 
 @pytest.fixture(scope="module")

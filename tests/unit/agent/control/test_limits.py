@@ -48,9 +48,10 @@ LINE = {1: (0.0, 0.0), 2: (1.0, 0.0), 3: (2.0, 0.0)}
 CHAIN = {(2, 1): 1.0, (2, 3): 1.0}
 
 
-def test_the_distance_of_avoidance_is_half_way_to_the_shortest_edge() -> None:
-    assert avoidance_distance(None, 0.2, CHAIN, LINE) == pytest.approx(0.6)
+def test_the_distance_of_avoidance_is_half_way_to_the_shortest_edge_and_not_far() -> None:
+    assert avoidance_distance(None, 0.3, CHAIN, LINE) == pytest.approx(0.65)
     assert avoidance_distance(None, 0.2, {**CHAIN, (1, 3): 0.5}, LINE) == pytest.approx(0.35)
+    assert avoidance_distance(None, 0.2, {(1, 2): 6.0}, {1: (0.0, 0.0), 2: (6.0, 0.0)}) == pytest.approx(0.56)
     assert avoidance_distance(0.9, 0.2, CHAIN, LINE) == 0.9
 
 
@@ -80,8 +81,8 @@ def test_what_is_further_apart_than_matters_is_not_looked_for_and_changes_nothin
         places = {k: (random.uniform(0.0, wide), random.uniform(0.0, wide)) for k in range(robots)}
         pairs = list(combinations(places, 2))
         edges = {pair: dist(*(places[k] for k in pair)) for pair in random.sample(pairs, len(pairs) // 2)}
-        half_way = 0.5 * (0.2 + min(edges.values())) if edges else 0.5
-        wanted = max(min(half_way, 0.9 * least_apart(edges, places)), 1.05 * 0.2)
+        near = min([2.8 * 0.2, *(0.5 * (0.2 + each) for each in edges.values())]) if edges else 0.5
+        wanted = max(min(near, 0.9 * least_apart(edges, places)), 1.05 * 0.2)
         assert avoidance_distance(None, 0.2, edges, places) == wanted
         least = least_apart(edges, places)
         for within in (0.5 * least, least, 2.0 * least):

@@ -157,7 +157,7 @@ def test_a_distance_of_avoidance_above_what_the_formation_has() -> None:
 
 def test_the_distance_of_avoidance_of_a_formation() -> None:
     one = fleet()
-    assert parting(one, resolve(one)) == (pytest.approx(0.6), pytest.approx(2.0))
+    assert parting(one, resolve(one)) == (pytest.approx(0.56), pytest.approx(2.0))
 
 
 # --- gaps ---
