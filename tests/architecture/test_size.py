@@ -16,13 +16,13 @@ from typing import Final
 ROOT: Final = Path(__file__).parents[2]
 PACKAGES: Final = ("agent", "plant", "bridges", "deploy")
 
-CODE_LINES_MAX: Final = 53_200
-MODULES_MAX: Final = 404
-COMPLEX_FUNCTIONS_MAX: Final = 60
+CODE_LINES_MAX: Final = 52_150
+MODULES_MAX: Final = 399
+COMPLEX_FUNCTIONS_MAX: Final = 54
 COMPLEXITY: Final = 15
 """Complexity above which a function counts as complex."""
 COMPLEXITY_MAX: Final = 30
-TEST_CODE_LINES_MAX: Final = 65_000
+TEST_CODE_LINES_MAX: Final = 64_300
 
 _BRANCHES: Final = (
     ast.If,
