@@ -258,6 +258,9 @@ RIGHT_FAILSAFES: Final = {
 """Failsafe parameters with one value that is right for every rover of a fleet. FS_GCS_ENABLE has none: it
 depends on whether a ground station is always present."""
 FENCE_ENABLE: Final = "FENCE_ENABLE"
+GUID_TIMEOUT: Final = "GUID_TIMEOUT"
+"""Since 2026: for how long the vehicle drives on in GUIDED without a setpoint, s. Older firmware has no such
+parameter, and stops after `SETPOINT_TIMEOUT_NS`."""
 AVOID_ENABLE: Final = "AVOID_ENABLE"
 AVOID_FENCE: Final = 1
 """Bit of AVOID_ENABLE: it stops before its fence."""
@@ -270,7 +273,7 @@ STREAM_RATE_PART: Final = 0.8
 STREAM_RATE_HZ: Final = 1.0
 """What is sent of position and attitude unless asked for more."""
 SETPOINT_TIMEOUT_NS: Final = 3_000_000_000
-"""After this silence in GUIDED the vehicle stops by itself; hard-coded in the firmware."""
+"""After this silence in GUIDED the vehicle stops by itself, unless `GUID_TIMEOUT` says otherwise."""
 SETPOINT_TIMEOUT_TEXT: Final = "target not received last 3secs, stopping"
 DISARMED_TEXT: Final = "Throttle disarmed"
 """Said whenever it is disarmed, by whomever (Rover's AP_Arming.cpp)."""

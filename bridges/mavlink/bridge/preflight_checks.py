@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from math import degrees
 from typing import Final, NamedTuple
 
+from handfast.agent.common.time import NS_PER_S
 from handfast.agent.control.hand import Pose
 from handfast.agent.fleet.plants import MavlinkSection
 from handfast.bridges.mavlink.ardupilot import constants, steering
@@ -42,7 +43,7 @@ def parameters(link: Session, section: MavlinkSection, now_ns: int) -> Iterator[
     if not link.parameters_done:
         yield Check("parameters", "blocking", f"{WAITING}its parameters")
         return
-    lines = [*_failsafes(link), *_fence(link), *_limits(link, section), *_ids(link, now_ns)]
+    lines = [*_failsafes(link), *_rolls_on(link), *_fence(link), *_limits(link, section), *_ids(link, now_ns)]
     read = sum(value is not None for value in link.parameters.values())
     looked_at = (*_FAILSAFES, constants.FENCE_ENABLE, constants.AVOID_ENABLE)
     untold = [name for name in looked_at if name in link.parameters and link.parameters[name] is None]
@@ -95,6 +96,15 @@ def _failsafes(link: Session) -> Iterator[Check]:
         yield Check(
             "arming checks", "warning", "some or all are off: it arms whatever is wrong", "turn them on"
         )
+
+
+def _rolls_on(link: Session) -> Iterator[Check]:
+    """Others make way for a vehicle whose computer has died for as long as ArduPilot had it drive on."""
+    planned_s = constants.SETPOINT_TIMEOUT_NS / NS_PER_S
+    value = link.parameter(constants.GUID_TIMEOUT)
+    if value is not None and not 0.0 < value <= planned_s:
+        text = f"{value:g} s: so long it drives on when its computer dies, and others expect {planned_s:g} s"
+        yield Check(constants.GUID_TIMEOUT, "blocking", text, f"set {planned_s:g}")
 
 
 def _fence(link: Session) -> Iterator[Check]:

@@ -122,6 +122,7 @@ AUDITED: Final = (
     *steering.USUAL,
     constants.GROUND_STATION_ID[1],
     constants.FENCE_ENABLE,
+    constants.GUID_TIMEOUT,
     constants.SCHED_LOOP_RATE,
     constants.FS_ACTION,
     constants.FS_THR_ENABLE,

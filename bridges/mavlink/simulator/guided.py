@@ -8,6 +8,7 @@ from __future__ import annotations
 from math import atan2, copysign, cos, hypot, isfinite, pi, sin, sqrt
 from typing import Final, NamedTuple
 
+from handfast.agent.common.time import NS_PER_S
 from handfast.bridges.mavlink.ardupilot import constants
 from handfast.bridges.mavlink.ardupilot.frames import wrapped
 
@@ -150,11 +151,11 @@ class Guided:
         """A setpoint arrived and was taken."""
         self._target, self._since_ns = target, now_ns
 
-    def timed_out(self, now_ns: int) -> bool:
-        """Whether the setpoint has just become too old; it is forgotten then. Places never do."""
+    def timed_out(self, now_ns: int, timeout_s: float) -> bool:
+        """Whether the setpoint has just become older than that; it is forgotten then. Places never do."""
         if self._target is None or isinstance(self._target, Place):
             return False
-        if now_ns - self._since_ns <= constants.SETPOINT_TIMEOUT_NS:
+        if now_ns - self._since_ns <= timeout_s * NS_PER_S:
             return False
         self._target = None
         return True

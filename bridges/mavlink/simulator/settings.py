@@ -50,6 +50,7 @@ PARAMETERS: Final[Mapping[str, tuple[float, int]]] = {
     "FS_GCS_TIMEOUT": (5, constants.PARAM_TYPE_REAL32),
     "FS_THR_ENABLE": (1, constants.PARAM_TYPE_INT8),
     "FS_TIMEOUT": (1.5, constants.PARAM_TYPE_REAL32),
+    "GUID_TIMEOUT": (3, constants.PARAM_TYPE_REAL32),
     "SCHED_LOOP_RATE": (constants.LOOP_RATE_HZ, constants.PARAM_TYPE_INT16),
     **dict.fromkeys(steering.ALL, (0, constants.PARAM_TYPE_INT16)),
     "SERVO1_FUNCTION": (steering.THROTTLE_LEFT, constants.PARAM_TYPE_INT16),
@@ -72,6 +73,7 @@ _OLD_NAMES: Final = {new: old for old, new in NEW_NAMES.items()}
 RANGES: Final = {
     "SYSID_THISMAV": (1, 254),
     "SYSID_MYGCS": (1, 255),
+    "GUID_TIMEOUT": (0, 3600),
     "SCHED_LOOP_RATE": (10, 400),
 }
 

@@ -211,7 +211,7 @@ class Vehicle:
         )
         speed = yaw_rate = 0.0
         if self.mode == constants.MODE_GUIDED:
-            if self.guided.timed_out(now_ns):
+            if self.guided.timed_out(now_ns, self.parameters["GUID_TIMEOUT"]):
                 self.say(WARNING, constants.SETPOINT_TIMEOUT_TEXT)
             speed, yaw_rate = self.guided.demand(self.pose, limits.speed, parameters["WP_RADIUS"])
             speed = self.fence.slowed(parameters, speed, self.truth.yaw, self._from_home, now_ns)

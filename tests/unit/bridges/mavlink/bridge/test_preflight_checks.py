@@ -120,6 +120,13 @@ def test_parameters_are_waited_for() -> None:
     assert looked.line("parameters").found == "waiting for its parameters"
 
 
+@pytest.mark.parametrize(("value", "level"), [(3.0, ""), (2.0, ""), (10.0, "blocking"), (0.0, "blocking")])
+def test_a_vehicle_that_drives_on_for_longer_than_others_expect_is_blocked(value: float, level: str) -> None:
+    looked = Looked(parameters={**SAFE, "GUID_TIMEOUT": value})
+    found = [line.level for line in looked.lines() if line.name == "GUID_TIMEOUT"]
+    assert found == [level] * bool(level)
+
+
 @pytest.mark.parametrize(
     ("parameter", "value", "line"),
     [

@@ -169,7 +169,7 @@ def test_everything_is_known_in_the_end_over_a_bad_link() -> None:
             and all(row.granted_hz for row in wire.link.streams(wire.now_ns))
         ),
     )
-    assert took < 30.0
+    assert took < 40.0, "each parameter more takes a second or two on such a link"
     assert wire.link.parameter("WP_SPEED") == 3.0
     wire.run(5.0)
     assert wire.rates()["ATTITUDE"] == pytest.approx(25.0 * 0.7, rel=0.25)
