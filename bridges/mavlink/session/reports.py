@@ -233,8 +233,10 @@ class Texts:
 HEARD_NS: Final = 5 * NS_PER_S
 """Who has sent no heartbeat for this long is gone."""
 KEPT: Final = 32
-BRIDGE_COMPONENTS: Final = range(191, 195)
-"""MAV_COMP_ID_ONBOARD_COMPUTER and its three successors."""
+
+
+PERIPHERAL: Final = 158
+"""MAV_COMP_ID_PERIPHERAL: a device with a controller of its own, which steers nothing."""
 
 
 class Participant(NamedTuple):
@@ -290,10 +292,7 @@ class Participants:
             name = f"system {other.system}, component {other.component}"
             if (other.system, other.component) == own:
                 return f"another program speaks as {name}, which is this bridge's own identity"
-            if (
-                other.type == constants.TYPE_ONBOARD_CONTROLLER
-                and other.system == vehicle
-                and other.component in BRIDGE_COMPONENTS
-            ):
+            is_controller = other.type == constants.TYPE_ONBOARD_CONTROLLER and other.component != PERIPHERAL
+            if is_controller and other.system == vehicle:
                 return f"another onboard controller is on this vehicle ({name})"
         return ""

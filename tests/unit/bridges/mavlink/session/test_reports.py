@@ -25,7 +25,9 @@ def with_one(system: int, component: int, kind: int, *, vehicle: bool = False) -
         (1, 191, constants.TYPE_GCS, "bridge's own identity"),
         (1, 192, CONTROLLER, "another onboard controller is on this vehicle (system 1, component 192)"),
         (1, 194, CONTROLLER, "another onboard controller"),
-        (1, 195, CONTROLLER, ""),  # none of the onboard computers
+        (1, 195, CONTROLLER, "another onboard controller"),
+        (1, 240, CONTROLLER, "another onboard controller"),  # MAVROS
+        (1, 158, CONTROLLER, ""),  # a peripheral
         (2, 192, CONTROLLER, ""),  # that of another vehicle
         (1, 192, constants.TYPE_GCS, ""),
         (255, 190, constants.TYPE_GCS, ""),

@@ -435,9 +435,9 @@ def test_a_ground_station_may_be_there_another_bridge_may_not() -> None:
     link.receive(T0, Speaker(4, 191).heartbeat(18, 8, 0, 0, 4, 3))  # the bridge of another vehicle
     assert link.ground_stations(T0) == [(255, 190)]
     assert link.another_bridge(T0) == ""
-    link.receive(T0, Speaker(3, 192).heartbeat(18, 8, 0, 0, 4, 3))
+    link.receive(T0, Speaker(3, 240).heartbeat(18, 8, 0, 0, 4, 3))  # MAVROS
     assert link.another_bridge(T0) == (
-        "another onboard controller is on this vehicle (system 3, component 192)"
+        "another onboard controller is on this vehicle (system 3, component 240)"
     )
     later_ns = T0 + 5 * NS_PER_S + 1
     assert link.another_bridge(later_ns) == ""
