@@ -136,7 +136,7 @@ def test_a_neighbour_that_comes_back_comes_back_without_a_bump(bench: FleetBench
 
 @pytest.mark.slow
 def test_whom_it_may_not_have_heard_for_it_stood_itself_it_does_not_blame(bench: FleetBench):
-    silence(bench, 2, 3)
+    silence(bench, 2, 3, 4)
     watch(bench, HORIZON_S - 0.1)
     bench.agents[1].late(bench.now, NS_PER_S)
     stood = watch(bench, 0.9)
@@ -153,7 +153,7 @@ def test_whom_it_may_not_have_heard_for_it_stood_itself_it_does_not_blame(bench:
 
 @pytest.mark.slow
 def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
-    silence(bench, 2, 3)
+    silence(bench, 2, 3, 4)
     rows = watch(bench, HORIZON_S + 0.2)
     assert rows[-1].state is State.HOLDING
     assert rows[-1].brakes
@@ -170,7 +170,7 @@ def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
 @pytest.mark.parametrize("bench", [("avoidance.beacon_interval_max_s=1.0",)], indirect=True)
 def test_of_many_who_holds_finds_out_who_is_near_before_it_goes_on(bench: FleetBench):
     controller = bench.agents[1]._controller
-    silence(bench, 2, 3)
+    silence(bench, 2, 3, 4)
     assert not controller.rests
     held = watch(bench, HORIZON_S + 2.0)
     assert held[-1].state is State.HOLDING
@@ -188,7 +188,7 @@ def test_of_many_who_holds_finds_out_who_is_near_before_it_goes_on(bench: FleetB
 @pytest.mark.slow
 def test_who_held_does_not_go_on_by_a_mission_that_those_it_hears_have_left(bench: FleetBench):
     """Before it drives it has what they go by, whatever that says of its own place."""
-    silence(bench, 2, 3)
+    silence(bench, 2, 3, 4)
     assert watch(bench, 5.0)[-1].state is State.HOLDING
     agent, cut = bench.agents[1], bench.cut
     mission = agent._situation.mission
@@ -268,8 +268,8 @@ def test_a_token_alone_brings_nobody_back(bench: FleetBench):
 
 @pytest.mark.slow
 def test_when_all_connections_are_lost_the_robot_holds(bench: FleetBench):
-    tell(bench, 2, False)
-    tell(bench, 3, False)
+    for robot in (2, 3, 4):
+        tell(bench, robot, False)
     assert watch(bench, 0.04)[-1].state is State.HOLDING
 
 
