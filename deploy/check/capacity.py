@@ -19,7 +19,7 @@ from handfast.deploy.check.finding import Finding
 from handfast.deploy.check.network import load_of, sharing
 
 ROBOTS_MIN: Final = 13
-"""Smaller fleets are not looked at: they fit; unless they ask for real time (`is_looked_at`)."""
+"""Smaller fleets are not looked at: they fit."""
 AGENT_S: Final = 3.6e-3
 AGENT_TICK_S: Final = 0.44e-3
 MESH_TICK_S: Final = 0.27e-3
