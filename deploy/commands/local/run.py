@@ -85,7 +85,7 @@ def _refuse_links(options: argparse.Namespace, fleet: Fleet) -> None:
 
 
 def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
-    """Says how many robots like those of a large fleet, this machine carries.
+    """Says how many robots like those of a large fleet this machine carries.
 
     Raises:
         InputError: these are more, and the options do not say to drive all the same.
