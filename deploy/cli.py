@@ -202,9 +202,8 @@ def process() -> int:
     _have_standard_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(
-                errors="backslashreplace"
-            )  # a name that the terminal cannot show is no failure
+            # A terminal that cannot show a name must not fail the command.
+            stream.reconfigure(errors="backslashreplace")
     try:
         status = main()
     except SystemExit as ended:  # of the parser

@@ -345,8 +345,8 @@ class ConstraintAssembly:
     def _keep_clear(self, scene: Scene) -> None:
         """The same against obstacles and the geofence, which do not move."""
         proximity, own = self._proximity, scene.own
-        # Obstacles do not move: nothing is gained by pushing earlier, and a wide band keeps robots from gaps
-        # that they fit through.
+        # A wide band would close gaps that a robot fits through, and pushing earlier gains nothing against
+        # an obstacle that does not move.
         band = proximity.distance - self._safe_distance
         if not self._is_distance_given:
             band = min(band, self._safe_distance)

@@ -30,7 +30,7 @@ _ALONE: Final = 2.5
 _MOST: Final = 2.8
 """d_a / r_s at most, however long edges are. With 2, folded formations with late links do not come apart."""
 ROLLS_S: Final = 1.0
-"""For so long a vehicle that nothing commands has rolled on when the others see it, s."""
+"""Time that a runaway vehicle has driven on before the others see it, s."""
 _SHARE: Final = 0.9
 """Largest share of what the formation puts between two robots: the rest is for errors of control."""
 _LEAST: Final = 1.05
@@ -145,8 +145,11 @@ def braking_room(fleet: Fleet) -> float:
 
 
 def sensing_distance(fleet: Fleet, distance: float) -> float:
-    """From where on a robot is listened to closely, m; `distance` is d_a. Getting out of the way of a vehicle
-    that goes on by itself once nothing commands it begins further away."""
+    """Return the distance within which every message of another robot is used, m; `distance` is d_a.
+
+    It is larger in fleets with a runaway vehicle (one that drives on when its computer dies), because the
+    evasive manoeuvre has to begin earlier.
+    """
     rolls_m = ROLLS_S * speed_max(fleet) if any(robot.kind.rolls_on_s for robot in fleet.robots) else 0.0
     return max(distance + AHEAD_M, braking_room(fleet) + rolls_m)
 

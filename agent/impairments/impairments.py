@@ -1,4 +1,4 @@
-"""What a link may do to a message: delay, loss, duplicate, reorder, corrupt, rate, range (PURE).
+"""Impairments of a link: delay, loss, duplicate, reorder, corrupt, rate, range (PURE).
 
 Names, order of parameters and meanings are those of tc-netem(8) where it has them; each class says where it
 differs. Times are in seconds where no unit is written (netem: us).
@@ -38,6 +38,7 @@ __all__ = [
 ]  # fmt: skip
 
 LIMIT: Final = 10_000
+"""Default length of the queue of a link with a rate, messages."""
 _DELAY_KINDS: Final = ("constant", *delay_distributions.SHAPES)
 _delay = within(seconds, 0.0, 3600.0, "s")
 _bitrate = within(bits_per_second, 1.0, 1e12, "bit/s")

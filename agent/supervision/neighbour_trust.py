@@ -196,7 +196,7 @@ class NeighbourTrust:
             self.degraded = f"slower: {', '.join(found.slow)}"
 
     def _hears_others(self, now_ns: int) -> bool:
-        """Whether any robot is heard that hears this one: both know then where the other is."""
+        """Return True if some robot, neighbour or not, hears this one and is heard by it."""
         return any(
             peer.here
             and not peer.deaf

@@ -1,4 +1,4 @@
-"""How long code of others is waited for where a fleet starts, and how much of a period it may take there."""
+"""Time limits for code of plugins: at the start of a fleet, and within a period."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from collections.abc import Callable
 from typing import Final, TypeVar
 
 ANSWER_S: Final = 10.0
-"""What takes longer is not waited for."""
+"""Timeout of a call into a plugin, s."""
 SHARE_MAX: Final = 0.25
-"""Of a period: the rest is for messages, the safety filter and other processes."""
+"""Maximum share of a period for a plugin. Messages, the safety filter and other processes need the rest."""
 T = TypeVar("T")
 
 
 def answer(what: str, call: Callable[[], T], seconds: float | None = None) -> T:
-    """What `call` returns or raises. It runs in a thread, which is left behind if it does not end, and does
-    not outlive the process. `what` names it in messages.
+    """Run `call` in a thread, and return or raise what it does. `what` names it in messages.
+
+    A thread that does not end in time is abandoned. It is a daemon thread, so it ends with the process.
 
     Raises:
-        TimeoutError: it has not returned within so many seconds, `ANSWER_S` unless given.
+        TimeoutError: `call` did not return within `seconds`; `ANSWER_S` unless given.
     """
     seconds = ANSWER_S if seconds is None else seconds
     found: list[T] = []
@@ -27,7 +28,7 @@ def answer(what: str, call: Callable[[], T], seconds: float | None = None) -> T:
     def ask() -> None:
         try:
             found.append(call())
-        except BaseException as error:  # is raised where it was asked for
+        except BaseException as error:  # raised again in the caller's thread
             raised.append(error)
 
     thread = threading.Thread(target=ask, daemon=True)

@@ -369,7 +369,7 @@ def _processes(fleet: Fleet, rules: Sequence[_Rule], end: float) -> Iterator[Fin
 
 
 def _clocks(fleet: Fleet, plan: FaultPlan) -> Iterator[Finding]:
-    """The two neighbours whose clocks differ most, at the start or, by their drift, at the end of the run."""
+    """Report the pair of neighbours whose clocks differ most, at the start or at the end of the run."""
     limit = FUTURE_NS_MAX / NS_PER_S
     found = [
         (_ahead_s(plan, *pair, after_s), -after_s, pair)
@@ -398,6 +398,6 @@ def _clocks(fleet: Fleet, plan: FaultPlan) -> Iterator[Finding]:
 
 
 def _ahead_s(plan: FaultPlan, i: int, j: int, after_s: float) -> float:
-    """How far the clock of i is ahead of that of j so long after the start, s."""
+    """Return by how many seconds the clock of i is ahead of that of j, `after_s` seconds after the start."""
     (skew_i, drift_i), (skew_j, drift_j) = plan.clock(i), plan.clock(j)
     return (skew_i - skew_j) / NS_PER_S + (drift_i - drift_j) * after_s

@@ -34,7 +34,7 @@ def robots(ids: Iterable[Any]) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return each row as a line whose columns are as wide as their widest text."""
+    """Return one line for each row, with columns padded to the width of their longest cell."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 

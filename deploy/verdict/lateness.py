@@ -93,7 +93,7 @@ def _made_late(recording: Recording, robot: int) -> list[tuple[float, float]]:
 
 
 def _late_laws(recording: Recording) -> list[str]:
-    """A sentence about robots whose ticks took so long with the law of a plugin that they skipped others."""
+    """Return a sentence that names the robots which skipped ticks because the law of a plugin is slow."""
     law, period_us = recording.fleet.control.law, 1e6 / recording.fleet.fleet.rate_hz
     slow: dict[int, int] = {}
     took_us: list[float] = []

@@ -1,4 +1,4 @@
-"""A robot whose edge neighbours have all died goes on to its place, as long as it hears anybody."""
+"""A robot drives on to its place when all its edge neighbours have died, if it still hears another robot."""
 
 from __future__ import annotations
 

@@ -99,11 +99,11 @@ def _failsafes(link: Session) -> Iterator[Check]:
 
 
 def _rolls_on(link: Session) -> Iterator[Check]:
-    """Others make way for a vehicle whose computer has died for as long as ArduPilot had it drive on."""
+    """Block a GUID_TIMEOUT longer than the time for which the other robots evade a runaway vehicle."""
     planned_s = constants.SETPOINT_TIMEOUT_NS / NS_PER_S
     value = link.parameter(constants.GUID_TIMEOUT)
     if value is not None and not 0.0 < value <= planned_s:
-        text = f"{value:g} s: so long it drives on when its computer dies, and others expect {planned_s:g} s"
+        text = f"{value:g} s: it drives on for that long without commands; others expect {planned_s:g} s"
         yield Check(constants.GUID_TIMEOUT, "blocking", text, f"set {planned_s:g}")
 
 
