@@ -58,7 +58,7 @@ class Measurement:
 
     Args:
         seed: of every draw.
-        body: with its own noise: m, rad, m/s, rad/s.
+        body: with its own noise: m, rad.
         plan: the rules; they may change.
     """
 
@@ -66,12 +66,9 @@ class Measurement:
         self._robot = body.id
         self._plan = plan
         self._changes = -1
-        self._noise = (
-            body.position_noise_m, body.position_noise_m, body.heading_noise_rad, 0.0, 0.0,
-        )  # fmt: skip
+        self._noise = (body.position_noise_m, body.position_noise_m, body.heading_noise_rad)
         self._streams = [
-            random_streams.stream(seed, "plant", body.id, quantity)
-            for quantity in ("x", "y", "heading", "speed", "yaw rate")
+            random_streams.stream(seed, "plant", body.id, quantity) for quantity in ("x", "y", "heading")
         ]
         self._jump, self._direction = (
             random_streams.stream(seed, "plant", body.id, purpose) for purpose in ("jump", "direction")
@@ -105,12 +102,15 @@ class Measurement:
         if faults.jump_m and random_streams.uniform(self._jump, sequence) < JUMP_SHARE:
             angle = 2.0 * pi * random_streams.uniform(self._direction, sequence)
             bias_x, bias_y = bias_x + faults.jump_m * cos(angle), bias_y + faults.jump_m * sin(angle)
-        biases = bias_x, bias_y, faults.heading_bias_rad, 0.0, 0.0
-        measured = []
-        for value, bias, deviation, stream in zip(pose, biases, self._noise, self._streams, strict=True):
-            error = deviation * random_streams.normal(stream, sequence) if deviation else 0.0
-            measured.append(value + bias + error)
-        return Pose._make(measured)
+        x, y, heading = (
+            deviation * random_streams.normal(stream, sequence) if deviation else 0.0
+            for deviation, stream in zip(self._noise, self._streams, strict=True)
+        )
+        return pose._replace(
+            x=pose.x + bias_x + x,
+            y=pose.y + bias_y + y,
+            heading=pose.heading + faults.heading_bias_rad + heading,
+        )
 
 
 CHECKS_PERIOD_NS: Final = NS_PER_S

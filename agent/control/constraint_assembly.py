@@ -89,7 +89,6 @@ class ConstraintAssembly:
         self.evades = ""
         self._move = rolling.STAND
         self._is_own_law = fleet.control.law is not None
-        self._is_distance_given = fleet.avoidance.distance_m is not None
 
     def find(self, scene: Scene, time_ns: int, edges: tuple[tuple[Edge, Peer], ...], grip: float) -> None:
         """Adds to `scene` all constraints on the own hand at the wall time `time_ns`, and all half planes.
@@ -345,12 +344,7 @@ class ConstraintAssembly:
     def _keep_clear(self, scene: Scene) -> None:
         """The same against obstacles and the geofence, which do not move."""
         proximity, own = self._proximity, scene.own
-        # A wide band would close gaps that a robot fits through, and pushing earlier gains nothing against
-        # an obstacle that does not move.
-        band = proximity.distance - self._safe_distance
-        if not self._is_distance_given:
-            band = min(band, self._safe_distance)
-        boundaries = [(each, proximity.clearance, band) for each in proximity.obstacles]
+        boundaries = [(each, proximity.clearance, proximity.obstacle_band) for each in proximity.obstacles]
         if proximity.fence is not None:
             boundaries.append((proximity.fence, 0.0, proximity.warn))
         for boundary, clearance, band in boundaries:

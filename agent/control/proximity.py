@@ -51,6 +51,7 @@ class Proximity:
     Attributes:
         close: the other robots within the sensing region, neighbours left out.
         distance: d_a, m.
+        obstacle_band: width of the band outside `clearance` in which obstacles push, m.
         clearance: how near the hand may come to an obstacle, m.
         obstacles, fence: of the fleet file; the fence None without one.
         is_large: see `agent.fleet.model.Fleet.is_large`.
@@ -66,7 +67,7 @@ class Proximity:
         self.fence: Final[Boundary | None] = fence_of(fleet)
         self.warn: Final = FENCE_WARN_M if fleet.geofence is not None else 0.0
         self.close: tuple[Peer, ...] = ()
-        self.distance = self.sensing = self._staying = 0.0
+        self.distance = self.obstacle_band = self.sensing = self._staying = 0.0
         self._keep = self._safe + fleet.avoidance.margin_m
         self._until_seen_s = AHEAD_S + 1.0 / barrier_rate(fleet)  # then the filter begins to brake
         self._soon = self._keep + self._until_seen_s * speed_max(fleet)
@@ -81,6 +82,11 @@ class Proximity:
         self.distance = avoidance_distance(
             self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
         )
+        self.obstacle_band = self.distance - self._safe
+        if self._fleet.avoidance.distance_m is None:
+            # A wide band would close gaps that a robot fits through, and pushing earlier gains nothing
+            # against an obstacle that does not move.
+            self.obstacle_band = min(self.obstacle_band, self._safe)
         self.sensing = sensing_distance(self._fleet, self.distance)
         self._staying = self.sensing + STAY_M
         for peer in self._peers.known:

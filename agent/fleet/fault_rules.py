@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, Generic, Literal, TypeVar, cast
+from typing import Any, Final, Generic, Literal, TypeAlias, TypeVar, cast
 
 from handfast.agent.common.quantities import quantity, ratio, seconds, split, text, within
 from handfast.agent.common.settings import setting
@@ -271,6 +271,7 @@ def _bias(what: str, unit: str, limit: float = 100.0) -> Any:
     return setting(None, f"Added to the measured {what}.", unit=unit, ge=-limit, le=limit)
 
 
+_Read: TypeAlias = Callable[[object], float]
 _late = within(seconds, 0.0, 2.0, "s")
 _ahead = within(seconds, -3600.0, 3600.0, "s")
 _drift = within(partial(quantity, unit="ratio"), -0.01, 0.01, "")
@@ -278,7 +279,7 @@ _drift = within(partial(quantity, unit="ratio"), -0.01, 0.01, "")
 
 @dataclass(frozen=True, slots=True)
 class TickJitter:
-    """Late ticks, "5ms" or "500ms 5%": by up to `most_s`, and the share of ticks that are late."""
+    """Lateness of ticks, "5ms" or "500ms 5%": at most `most_s`, in this share of the ticks."""
 
     most_s: float
     share: float = 1.0
@@ -286,8 +287,7 @@ class TickJitter:
     @classmethod
     def parse(cls, raw: object) -> TickJitter:
         """From text or a number of seconds. ValueError."""
-        words = _two_words(raw, '"5ms" or "500ms 5%" (5 % of ticks)')
-        return cls(_late(words[0]), *map(ratio, words[1:]))
+        return cls(*_time_and_ratio(raw, _late, ratio, '"5ms" or "500ms 5%" (5 % of ticks)'))
 
     def __str__(self) -> str:
         return text(self.most_s, "s") + (f" {text(self.share, 'ratio')}" if self.share < 1.0 else "")
@@ -295,7 +295,7 @@ class TickJitter:
 
 @dataclass(frozen=True, slots=True)
 class ClockError:
-    """An error of a clock, "100ms" or "100ms 50ppm": ahead by `ahead_s`, faster by the share `drift`."""
+    """Error of a clock, "100ms" or "100ms 50ppm": offset `ahead_s` and relative rate error `drift`."""
 
     ahead_s: float
     drift: float = 0.0
@@ -303,18 +303,18 @@ class ClockError:
     @classmethod
     def parse(cls, raw: object) -> ClockError:
         """From text or a number of seconds. ValueError."""
-        words = _two_words(raw, '"100ms" or "100ms 50ppm" (drift)')
-        return cls(_ahead(words[0]), *map(_drift, words[1:]))
+        return cls(*_time_and_ratio(raw, _ahead, _drift, '"100ms" or "100ms 50ppm" (drift)'))
 
     def __str__(self) -> str:
         return text(self.ahead_s, "s") + (f" {text(self.drift, 'ratio')}" if self.drift else "")
 
 
-def _two_words(raw: object, form: str) -> list[str]:
+def _time_and_ratio(raw: object, time: _Read, ratio: _Read, form: str) -> list[float]:
+    """Read a time (s) and, where one follows it, a ratio. ValueError names `form`."""
     words = split(raw, form)
     if len(words) > 2:
         raise ValueError(f"must be written {form}, got {show(raw)}")
-    return words
+    return [read(word) for read, word in zip((time, ratio), words, strict=False)]
 
 
 @dataclass(frozen=True, slots=True)

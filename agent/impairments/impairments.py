@@ -38,7 +38,7 @@ __all__ = [
 ]  # fmt: skip
 
 LIMIT: Final = 10_000
-"""Default length of the queue of a link with a rate, messages."""
+"""Default length of a link's queue, and the most that it delays at a time, messages."""
 _DELAY_KINDS: Final = ("constant", *delay_distributions.SHAPES)
 _delay = within(seconds, 0.0, 3600.0, "s")
 _bitrate = within(bits_per_second, 1.0, 1e12, "bit/s")

@@ -126,6 +126,7 @@ class _Link:
             if bit >= 0:
                 marks |= CORRUPTED
             queued_ns = self._queue_ns(effects, sent_ns, size)
+            # Messages in delay are bounded, too: a long delay must not fill the memory.
             if queued_ns is None or self.waiting + len(out) >= LIMIT:
                 out.append((marks | LOST | OVERFLOW, _LOST_US, -1))
                 continue

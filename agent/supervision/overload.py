@@ -162,7 +162,7 @@ class Overload:
                 del self._others[robot]
         before = self.level
         most, second = sorted((0, 0, *(wanted for wanted, _ in self._others.values())))[:-3:-1]
-        # The word of one other robot can slow this one down. It takes that of two to stop it.
+        # A single faulty robot may slow the fleet down, but must not stop it: that takes two.
         self.others = most if second > self._steps + 1 else min(most, self._steps + 1)
         if before:
             self._spent_ns[before] = self._spent_ns.get(before, 0) + now_ns - self._looked_ns

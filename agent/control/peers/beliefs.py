@@ -38,7 +38,7 @@ STANDS_S: Final = 1.0
 STRETCHES_MAX: Final = 8
 """Of one robot."""
 WAY_MAX: Final = 256
-"""Points of a way that another robot has said, at most."""
+"""Maximum number of points of a path that another robot has reported."""
 STRETCH: Final = 0.25
 """Length of one while there are enough of them, m."""
 AHEAD_S: Final = 0.1
@@ -185,7 +185,7 @@ def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -
     """The belief of a robot that stands somewhere on the straight way from (x, y) to (to_x, to_y), give or
     take `radius`: what another robot has said of it."""
     dx, dy = to_x - x, to_y - y
-    count = max(1, min(WAY_MAX, ceil(hypot(dx, dy) / STRETCH)))  # it may lead to the end of the world
+    count = max(1, min(WAY_MAX, ceil(hypot(dx, dy) / STRETCH)))  # a hostile one may be endless
     way = tuple((x + k / count * dx, y + k / count * dy) for k in range(count + 1))
     return _belief([Stretch(x, y, dx, dy, radius, 0.0)], way, radius)
 

@@ -262,9 +262,9 @@ class Peers:
         return None
 
     def _accept_silent(self, sender: Peer, beacon: Beacon, now_ns: int) -> None:
-        """Takes a beacon's rows about robots that somebody does not hear, where they are news here.
+        """Accept a beacon's rows about robots that its sender does not hear, where they are news here.
 
-        What a robot says of itself counts, as long as it is heard: nobody else's word can move it.
+        Ignore rows about a robot that this one hears itself, so that nobody else can move it on our map.
         """
         for said in beacon.silent:
             if said.robot == self._owner:
@@ -301,7 +301,7 @@ class Peers:
             peer.time_ns = time_ns
 
     def _speaks(self, peer: Peer, now_ns: int) -> bool:
-        """Whether a robot itself has been heard within the patience that robots have with each other."""
+        """Return True if a robot itself has been heard within the prediction horizon."""
         if not peer.here or peer.direct_ns == NEVER:
             return False
         return peer.direct_late_ns(now_ns) < self._horizon_s * NS_PER_S
