@@ -229,7 +229,7 @@ class Operator(Known):
             OrderError: it cannot be carried out; the text is one sentence that says why.
         """
         if order.kind == "stop":
-            return self.order_stop(now_ns, "")
+            return self.order_stop(now_ns)
         if order.kind == "resume":
             return self.order_resume(now_ns, order.robots or ())
         if self.plan is None:
@@ -238,8 +238,8 @@ class Operator(Known):
         self._take(mission)
         return mission
 
-    def order_stop(self, now_ns: int, reason: str) -> Stop:
-        """A stop of every robot."""
+    def order_stop(self, now_ns: int, reason: str = "") -> Stop:
+        """Return a stop of every robot; `reason` is shown to operators."""
         self.stop = Stop(self._next_order(now_ns), now_ns, clipped(reason))
         return self.stop
 

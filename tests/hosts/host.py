@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from tests.hosts import spaces
 from tests.hosts.computers import (
@@ -28,7 +28,7 @@ from tests.hosts.computers import (
     make_key,
 )
 from tests.hosts.operator_computer import Operator
-from tests.hosts.programs import SYSTEM_PATH, feign_old_python, hide_python, python_to_lend
+from tests.hosts.programs import SYSTEM_PATH, hide_python, python_to_lend
 from tests.hosts.spaces import HostsFailed, Space
 
 WITHOUT_NAMESPACES: Final = HERE / "without_namespaces.py"
@@ -54,7 +54,7 @@ class Setup:
     Attributes:
         systemd: whether it has a journal and the user's `systemd --user`.
         linger: whether /var/lib/systemd/linger tells that the user's manager outlives his sessions.
-        python: what `python3` is: 3.11 or later (``"usual"``), 3.9 by its own word (``"old"``), or not there.
+        has_python: whether it has a `python3`, of 3.11 or later.
         home_mb: size of the file system that holds the home, MiB; None for this machine's disk.
         ordinary: whether the user whose home it is, and who is logged in to, is not root: then one of the
             name `USER`, in the group of serial ports. `Host.run` is root's all the same.
@@ -63,7 +63,7 @@ class Setup:
 
     systemd: bool = True
     linger: bool = True
-    python: Literal["usual", "old", "none"] = "usual"
+    has_python: bool = True
     home_mb: int | None = None
     ordinary: bool = False
     namespaces: bool = True
@@ -89,12 +89,10 @@ class Host:
         self.setup: Final = setup
         self.folder: Final = operator.set_folder / self.name
         self.uid: Final = USER_ID if setup.ordinary else os.geteuid()
-        lent = python_to_lend() if setup.python == "usual" else None
-        path = {
-            "usual": f"{lent}/bin{os.pathsep}{SYSTEM_PATH}" if lent else SYSTEM_PATH,
-            "old": f"{PROGRAMS}{os.pathsep}{SYSTEM_PATH}",
-            "none": PROGRAMS,
-        }[setup.python]
+        lent = python_to_lend() if setup.has_python else None
+        path = f"{lent}/bin{os.pathsep}{SYSTEM_PATH}" if lent else SYSTEM_PATH
+        if not setup.has_python:
+            path = PROGRAMS
         session = {
             "XDG_RUNTIME_DIR": f"/run/user/{self.uid}",
             "DBUS_SESSION_BUS_ADDRESS": f"unix:path=/run/user/{self.uid}/bus",
@@ -127,10 +125,8 @@ class Host:
         (self.folder / "log" / "journal").mkdir()  # so the journal outlives a reboot, as Debian's does
         if self.setup.linger:
             (self.folder / "systemd" / "linger" / self.environment["USER"]).touch()
-        if self.setup.python == "none":
+        if not self.setup.has_python:
             hide_python(self.folder / "programs")
-        elif self.setup.python == "old":
-            feign_old_python(self.folder / "programs")
         etc = self.folder / "etc"
         subprocess.run(["cp", "-a", "/etc", etc], check=True)
         if self.setup.ordinary:

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.timeout(300)
 GOOD = 2
 WRONG = [
     (Setup(systemd=False), "no systemd answers root there: robots' processes are its user units."),
-    (Setup(python="none"), "there is no Python of 3.11 or later on its PATH"),
+    (Setup(has_python=False), "there is no Python of 3.11 or later on its PATH"),
     (Setup(linger=False), "the processes of root would end with the last login: sudo loginctl enable-linger"),
     (Setup(home_mb=64), "the disk is full: "),
     (Setup(), "its host key is not the one that is known: another computer may pose as it."),
