@@ -41,6 +41,14 @@ class Problem:
         return f"{self.place}: {self.message}" if self.place else self.message
 
 
+def _branch(hint: Any, raw: object) -> Any:
+    """Return the part of a union that `raw` may be: an array, or not. Return any other type as it is."""
+    if get_origin(hint) not in (Union, UnionType):
+        return hint
+    is_array = isinstance(raw, (list, tuple))
+    return next((arg for arg in get_args(hint) if (get_origin(arg) is tuple) == is_array), hint)
+
+
 class Reader:
     """Reads one document of model `root`, and keeps every problem it meets.
 
@@ -225,38 +233,32 @@ class Reader:
             except ValueError as error:
                 self.add(place, printable(str(error)))
                 return _INVALID
-        origin, args, unit = get_origin(hint), get_args(hint), UNITS.get(said.unit or "")
-        if origin in (Union, UnionType):
-            is_array = isinstance(raw, (list, tuple))
-            fitting = [arg for arg in args if (get_origin(arg) is tuple) == is_array]
-            if fitting:
-                return self._value(fitting[0], raw, place, said, default)
-        elif origin is Literal:
-            for option in args:
-                if option == raw and isinstance(option, bool) is isinstance(raw, bool):  # true is not 1
-                    return option
-            options = {str(option): option for option in args}
-            spelled = {name: show(option) for name, option in options.items()}
-            question = self._did_you_mean(raw, options, spelled.__getitem__) if isinstance(raw, str) else ""
-            self.add(place, f"must be {describe(hint)}, got {show(raw)}{question and f'; {question}'}")
-            return _INVALID
-        elif origin is tuple:
-            if isinstance(raw, (list, tuple)):
-                return self._array(hint, raw, place, said)
-        elif hint is bool:
-            if isinstance(raw, bool):
-                return raw
-        elif hint is str:
-            if isinstance(raw, str):
-                return self._string(raw, place, said)
-        elif isinstance(raw, (int, float)) and not isinstance(raw, bool):
+        hint = _branch(hint, raw)
+        unit = UNITS.get(said.unit or "") if hint is float else None
+        if get_origin(hint) is Literal:
+            return self._option(hint, raw, place)
+        if get_origin(hint) is tuple and isinstance(raw, (list, tuple)):
+            return self._array(hint, raw, place, said)
+        if hint is bool and isinstance(raw, bool):
+            return raw
+        if hint is str and isinstance(raw, str):
+            return self._string(raw, place, said)
+        if hint in (int, float) and isinstance(raw, (int, float)) and not isinstance(raw, bool):
             return self._number(hint, raw, place, said)
-        elif isinstance(raw, str) and hint is float and unit is not None:
+        if isinstance(raw, str) and unit is not None:
             return self._quantity(raw, place, said, unit)
         wanted = f"must be {describe(hint, said.unit)}, such as {example(hint, said, default)}"
-        if hint is float and unit is not None:
-            wanted += f" or {show(unit.example)}"
+        wanted += "" if unit is None else f" or {show(unit.example)}"
         self.add(place, f"{wanted}, got {show(raw)}")
+        return _INVALID
+
+    def _option(self, hint: Any, raw: object, place: str) -> Any:
+        for option in get_args(hint):
+            if option == raw and isinstance(option, bool) is isinstance(raw, bool):  # true is not 1
+                return option
+        spelled = {str(option): show(option) for option in get_args(hint)}
+        question = self._did_you_mean(raw, spelled, spelled.__getitem__) if isinstance(raw, str) else ""
+        self.add(place, f"must be {describe(hint)}, got {show(raw)}{question and f'; {question}'}")
         return _INVALID
 
     def _array(self, hint: Any, raw: Sequence[Any], place: str, said: Setting) -> Any:

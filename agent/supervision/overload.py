@@ -157,13 +157,8 @@ class Overload:
             self._rise(now_ns, self._steps + (2 if len(self._gaps) >= LATE_LEAST else 1))
         elif self.wanted and self.wanted >= self.level and now_ns - self._since_ns >= self._calm_ns:
             self._fall(now_ns)
-        for robot, (_, until_ns) in tuple(self._others.items()):
-            if now_ns > until_ns:
-                del self._others[robot]
+        self.others = self._asked_by_others(now_ns)
         before = self.level
-        most, second = sorted((0, 0, *(wanted for wanted, _ in self._others.values())))[:-3:-1]
-        # A single faulty robot may slow the fleet down, but must not stop it: that takes two.
-        self.others = most if second > self._steps + 1 else min(most, self._steps + 1)
         if before:
             self._spent_ns[before] = self._spent_ns.get(before, 0) + now_ns - self._looked_ns
             self._asked_ns += now_ns - self._looked_ns if self.wanted else 0
@@ -174,6 +169,15 @@ class Overload:
         if self.level != before:
             self._forget(now_ns)
         return self.level != before
+
+    def _asked_by_others(self, now_ns: int) -> int:
+        """Return the level that the other robots' requests amount to, without those that have expired."""
+        for robot, (_, until_ns) in tuple(self._others.items()):
+            if now_ns > until_ns:
+                del self._others[robot]
+        most, second = sorted((0, 0, *(wanted for wanted, _ in self._others.values())))[:-3:-1]
+        # A single faulty robot may slow the fleet down, but must not stop it: that takes two.
+        return most if second > self._steps + 1 else min(most, self._steps + 1)
 
     def _rise(self, now_ns: int, top: int) -> None:
         """It does not keep the rate that it has; no further than to `top`."""

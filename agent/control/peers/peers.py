@@ -355,13 +355,12 @@ class Peers:
         """Whether it has listened since the drive began."""
         return NEVER < self._began_ns <= self.forecast.epoch_ns
 
-    def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
-        time_ns = beacon.time_ns
-        since_ns = time_ns - peer.hand_ns
+    def _note_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
+        """Update the estimates of a sender's latency by a beacon, and of when its next message is due."""
+        since_ns = beacon.time_ns - peer.hand_ns
         expected_ns = peer.next_ns
         peer.next_ns = max(self._beacon_ns, beacon.next_ms * NS_PER_MS)
         self._forgive(peer, beacon, now_ns)
-        before = peer.message
         if peer.hand_next_ns and since_ns <= peer.hand_next_ns + OUTAGE_NS:  # of two one says how late it is
             self._note_promised(peer, beacon, now_ns, expected_ns)
         elif since_ns <= OUTAGE_NS:
@@ -370,11 +369,17 @@ class Peers:
             if (promises and not (hands_come and peer.listened)) or (peer.lateness.heeds and not hands_come):
                 self._expect_beacon(peer)
         else:
-            age_ns = now_ns + peer.clock.used_ns - time_ns
-            gap_ns = None if peer.direct_ns == NEVER else time_ns - peer.direct_ns
+            age_ns = now_ns + peer.clock.used_ns - beacon.time_ns
+            gap_ns = None if peer.direct_ns == NEVER else beacon.time_ns - peer.direct_ns
             self._note(peer, beacon, now_ns, age_ns, gap_ns, expected_ns)
             if peer.next_ns != expected_ns or (peer.listened and self.is_seldom(peer)):
                 self._expect_beacon(peer)
+
+    def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
+        """Take the place and motion of a robot from its beacon, the newest message that it has sent."""
+        self._note_beacon(peer, beacon, now_ns)
+        time_ns, before = beacon.time_ns, peer.message
+        since_ns = time_ns - peer.hand_ns
         if time_ns > peer.direct_ns:
             peer.direct_ns = time_ns
         peer.far_until_ns = 0
