@@ -1,11 +1,9 @@
-"""Faults as a fleet file gives them: ``[faults]`` and its ``[[faults.rule]]`` (PURE).
+"""Fault rules of a fleet file: ``[faults]``, ``[[faults.rule]]`` and the sets of links they apply to (PURE).
 
-A rule says where (`link`, `robot`, `topic`, `partition`), when (`at`, `for`, `every`, `until`) and what. Only
-the words are read here; `agent.links.fault_plan` finds which rule holds at a moment,
-`agent.links.link_emulator` what it does to a message. The same tables in a file of their own are a scenario,
-and sent to a running fleet they are live faults.
-
-Targets of faults: sets of directed links, and partitions of a fleet (PURE).
+A rule says where (`link`, `robot`, `topic`, `partition`), when (`at`, `for`, `every`, `until`) and what. This
+module only reads the tables. `agent.links.fault_plan` finds the rule in force at a given time, and
+`agent.links.link_emulator` applies it to a message. A scenario file holds the same tables, and operators send
+them to a running fleet as live faults.
 """
 
 from __future__ import annotations

@@ -1,12 +1,6 @@
-"""The tables of a fleet file about hosts, network and recording, and what can be wrong in them (PURE).
+"""Tables of a fleet file about hosts, network, routers and recording, and their checks (PURE).
 
-Robots need not agree on these.
-
-Which routers a fleet has, and where (PURE).
-
-The table of a fleet file about how a robot's processes run on their computer (PURE).
-
-Robots need not agree on it.
+They are not part of the digest: robots need not agree on them.
 """
 
 from __future__ import annotations

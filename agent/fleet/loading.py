@@ -1,12 +1,9 @@
-"""Loads fleet files: from their text to a `Fleet`, and back to tables.
+"""Loading of fleet files: from text to a `Fleet`, and back to tables.
 
-`parse_fleet` turns the text, with what the command line sets over it, into a `Fleet`, or raises one
-`FleetError` with every problem of the file, each with its place. `digest` says whether two are the same.
-PURE but for `load_fleet`, which reads the file that it is given.
-
-Files of faults or of orders: some tables of a fleet file, and nothing else (PURE).
-
-The text of live faults, and orders that are given by hand, are read as such files are.
+`parse_fleet` turns the text and the command line's overrides into a `Fleet`, or raises one `FleetError` with
+every problem of the file and its place. `digest` identifies what all robots must agree on. Scenarios of
+faults and files of orders hold some tables of a fleet file and nothing else; live faults and manual orders
+are read the same way. PURE except `load_fleet`, which reads the file it is given.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""``[[order]]`` of a fleet file: what its operator does at times of the drive; its checks (PURE).
+"""``[[order]]`` of a fleet file: an operator's orders at given times of the drive, and their checks (PURE).
 
-The same can be ordered by hand: ``handfast change join`` and so on, ``stop``, ``resume``.
-Whether an order can be carried out depends on those before it: `deploy.orders.mission_editing` says so.
-
-Checks across the fields of a trajectory: valid field by field, but not together (PURE).
+An operator gives the same orders by hand with ``handfast change``, ``stop`` and ``resume``. Whether an order
+can be carried out depends on the ones before it; `deploy.orders.mission_editing` decides that. The checks of
+a trajectory, whose fields may be valid one by one but not together, are here too.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Kinds of plant: what a robot's `plant` may be, and all that the rest must know of one (PURE).
+"""Kinds of plant, and the tables of vehicles reached by MAVLink (PURE).
 
-A kind of ours is an entry of `KINDS`, any other one the class of a plugin. Modules are named, not imported.
-
-The table of a robot that is a vehicle reached by MAVLink, and what can be wrong in it (PURE).
+`KINDS` has an entry for each built-in kind; any other kind is the class of a plugin. Modules are named here,
+not imported.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""Plans: a mission written out for the fleet, who drives where and who keeps which distance (PURE).
+"""Plans, and the choice of the mission in force (PURE).
 
-A `Mission` came over the network and may be anything that its types allow; a `Plan` can be driven.
-Lengths in m, W; times in ns of the wall clock.
-
-Which mission holds for one who hears them in any order (PURE).
-
-Agents, plants and operators all decide here: whoever has heard the same missions follows the same one.
+A plan is a mission written out for the fleet: who drives where, and who keeps which distance. A `Mission`
+comes from the network and may hold anything that its types allow; a `Plan` can be driven. Agents, plants and
+operators choose the mission here, so all that have received the same missions follow the same one, whatever
+the order of reception. Lengths in m, frame W; times in ns of the wall clock.
 """
 
 from __future__ import annotations

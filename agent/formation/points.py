@@ -1,10 +1,7 @@
-"""Points in the plane and edges between them, as arrays: distances, and the best turn (PURE, numpy only).
+"""Geometry of points and edges in the plane, as arrays (PURE, numpy only).
 
-Places are (n, 2), m; edges (m, 2) are rows of the places that they join.
-
-Formation graphs: their connected parts (PURE).
-
-Who takes which slot: the linear assignment problem (PURE, numpy only).
+Distances, the best-fitting rotation, connected parts of a graph, and the assignment of robots to places.
+Places have shape (n, 2), in m; edges have shape (m, 2) and hold rows of the places that they join.
 """
 
 from __future__ import annotations

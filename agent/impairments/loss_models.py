@@ -1,13 +1,12 @@
-"""Models of which messages a link loses: random, Gilbert-Elliott, four states, every n-th (PURE).
+"""Loss models of a link: random, Gilbert-Elliott, four states, every n-th message (PURE).
 
-Markov chains whose state at any time is a pure function of the stream and the time (PURE).
+The models are Markov chains whose state at any step is a pure function of the stream and the step's number,
+so messages may arrive in any order. In each step all states move by the same uniform draw. Looking back a few
+steps, all possible states have merged into one: the exact stationary state (coupling from the past, Propp and
+Wilson 1996).
 
-All states of a chain move by the same uniform number of each step. Looking back from a step, after a few more
-every state that the chain may have been in has become the same one: that is its state, exactly stationary,
-whatever happened before (coupling from the past, Propp and Wilson 1996). So messages may come in any order.
-
-Of a stream, step n uses the draws 4n .. 4n + 3: 4n moves the chain or is the event itself, 4n + 1 and 4n + 3
-are free for what follows from it, 4n + 2 is where a chain starts.
+Step n uses the draws 4n to 4n + 3 of its stream: 4n moves the chain or is the event itself, 4n + 1 and 4n + 3
+are free for its consequences, and 4n + 2 chooses the initial state.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Which faults hold, where and when: the fleet file's rules, and live ones that operators send (PURE).
+"""The fault rules in force, by place and time: the fleet file's rules and operators' live rules (PURE).
 
-Every node holds a `FaultPlan`. What holds for a message is decided by its stamp, so that all receivers,
-a run and its simulation decide alike. For each effect the first matching rule that gives it wins: live
-rules before the file's (the newest author first), then ``[faults]`` for links between agents.
-
-Fault rules in time: what one rule does, to which link or sensor, and when (PURE).
+Every node holds a `FaultPlan`. The stamp of a message decides which rules apply to it, so all receivers, and
+a run and its simulation, decide alike. For each effect the first matching rule wins: live rules before the
+file's (the newest author first), then ``[faults]`` for links between agents.
 """
 
 from __future__ import annotations

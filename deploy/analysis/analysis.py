@@ -1,6 +1,6 @@
-"""A run on one grid of times: where robots were, where they should have been, and how far apart.
+"""A run on one grid of times: actual and desired places, edges and distances.
 
-What a fleet was to do over the time of a run: places, edges and distances of the missions in force.
+The desired places, edges and distances are those of the missions in force.
 """
 
 from __future__ import annotations

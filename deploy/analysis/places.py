@@ -1,10 +1,8 @@
-"""How far robots are from their places in the formation, and when that is too far.
+"""Distances of robots from their places, and formations that have come to rest in another shape.
 
-Whether a formation has come to rest in another shape than its own: where the law's forces are in balance.
-
-The law finds the nearest shape in which navigation and constraint forces of all robots add up to nothing.
-From far away, or for one that comes in from the other side, that may be a folded shape (docs/theory.md). A
-robot that stands beside its place without such a balance is not driven as it should be.
+The law finds the nearest shape in which the navigation and constraint forces of all robots balance. From far
+away, or for a robot that arrives from the other side, that may be a folded shape (docs/theory.md). A robot
+that stands beside its place without such a balance has another problem.
 """
 
 from __future__ import annotations

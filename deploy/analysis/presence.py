@@ -1,8 +1,6 @@
-"""When processes of a run were up, and when robots could follow, from what was done to them and they said.
+"""When processes ran, robots could follow, poses were recorded, and bodies were on the field (PURE).
 
-Times in which no pose of a robot came, and in which its place is not known (PURE).
-
-When bodies were not on the field: an operator had said so, and nobody had heard their robots since.
+The sources are the events of a run (kills, pauses, orders), what agents said, and the times of the poses.
 """
 
 from __future__ import annotations

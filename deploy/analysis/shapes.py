@@ -1,10 +1,7 @@
-"""How far many points are from a boundary, at once: for recordings, checks and pictures.
+"""Shapes: distances of many points from a boundary, rigidity of a formation, and lattices (numpy only).
 
-Rigidity: which motions the distances of a formation graph leave free (PURE, numpy only).
-
-Offsets are (n, 2), m; edges (m, 2) are rows of the robots that they join.
-
-A fleet file of a triangular lattice of any size: what large fleets are studied with (pure).
+Offsets have shape (n, 2), in m; edges have shape (m, 2) and hold rows of the robots that they join. The
+lattice is a fleet file of any size, to study large fleets with.
 """
 
 from __future__ import annotations

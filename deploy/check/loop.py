@@ -1,15 +1,13 @@
-"""Is the control loop stable at this rate, with these gains and limits.
+"""Checks of the control loop: stability, stiffness of the edges, and event-triggered sending.
 
-Are edges so stiff against navigation that the formation may come to rest in another shape?
-
-Where nothing moves, the law's forces are in balance: the pull to a place against lambda phi' of its edges,
-with k2 lambda = -kp phi. phi has no unit, so what counts is the share
+Stability concerns the rate, gains and limits. Edges that are too stiff against navigation may let the
+formation come to rest in another shape: at rest the pull to a place balances lambda phi' of its edges, with
+k2 lambda = -kp phi. phi has no unit, so the share that counts is
 
     S = kp / (k2 p s),    s = d - r_s,    p the pull from FOLD s away, c1 s at most (N1)
 
-of docs/theory.md (J4), the same for a formation of any size.
-
-Does what says when hand states are sent suit the fleet: noise, rate, horizon, law.
+of docs/theory.md (J4), the same for a formation of any size. The thresholds of event-triggered sending must
+suit noise, rate, horizon and law.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What is unwise about obstacles, geofence and avoidance: starts, places and ways that do not fit them.
-
-Where robots are to be, in a fleet's own file: which way leads past or through what.
-"""
+"""Checks of obstacles, geofence and avoidance against the places and paths of a fleet."""
 
 from __future__ import annotations
 

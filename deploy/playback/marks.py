@@ -1,7 +1,4 @@
-"""What happened in a run and when, as marks on a time line: orders, faults, states, violations.
-
-How a state looks: what of it a picture shows at a glance, for the page and the film alike.
-"""
+"""Marks on a run's time line: orders, faults, states, violations; and how the page and films show a state."""
 
 from __future__ import annotations
 

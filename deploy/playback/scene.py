@@ -1,9 +1,7 @@
-"""What a page is told of a run besides its motion: its fleet, ground and edges, the states of its robots,
-what happened, the verdict.
+"""The data of a run that its page plays: scene, motion and curves.
 
-How a run moved, as rows of numbers that a page plays: the whole thinned, or pieces of it in full.
-
-Curves of a whole run for a page: what a person follows, thinned so that no extreme is lost.
+The scene is the fleet, its ground and edges, the robots' states, events and the verdict. The motion is the
+whole run thinned, or pieces of it in full. Curves are thinned so that no extreme is lost.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Pieces of a report's page (HTML) that needs nothing beside itself.
-
-The report's parts about oracles, changes of mission, and changes of the robots' states (HTML).
-"""
+"""Parts of a report's page (HTML, self-contained): oracles, changes of mission, and changes of state."""
 
 from __future__ import annotations
 

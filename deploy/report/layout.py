@@ -1,8 +1,6 @@
-"""Words at what is drawn: labels at the ends of lines and beside points, so that none covers another.
+"""Layout of figures: labels that do not cover each other, axes in a grid, and a legend above them.
 
-Where they go is computed, in points (1/72 inch) or any other unit of length; nothing is measured by drawing.
-
-Where the parts of a figure go: axes in a grid, what is written beside each, a legend above all of them.
+Label positions are computed in points (1/72 inch) or any other unit of length, without drawing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The picture of a run's links: how old what came over them was, and what was done to their messages.
-
-The part of a report that is about links: what was asked and done, what was measured, and the proof.
-"""
+"""The links of a run in a report: the figure of message ages, and tables of injected and measured faults."""
 
 from __future__ import annotations
 

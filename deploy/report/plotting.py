@@ -1,9 +1,8 @@
-"""What all pictures share: colours, markers, style, and how a figure is made and written.
+"""Style and output of all figures: colours, markers, fonts, files; and forks that draw them in parallel.
 
-By matplotlib's object interface, without global state, always the same bytes. Colours are Okabe and Ito's,
-which colour-blind readers tell apart; markers and dashes tell lines apart without any.
-
-Doing independent things at once, in forks of this process: what is loaded and computed is there in all.
+Figures use matplotlib's object interface without global state, and their bytes are reproducible. The colours
+are those of Okabe and Ito, which colour-blind readers can tell apart; markers and dashes tell lines apart
+without colour.
 """
 
 from __future__ import annotations

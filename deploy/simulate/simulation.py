@@ -1,13 +1,11 @@
-"""A fleet in virtual time: the same agents and plants, the same bytes, one process, no waiting.
+"""A fleet in virtual time: the same agents, plants and bytes as in a run, in one process, without waiting.
 
-What `agent.runtime.loop.loop` does in real time happens here in the order of the ticks' times, and so
-does what rules do to processes, clocks and ticks. A message is there `LATENCY_NS` after it was published,
-about what a loopback link takes; the same fleet file and seed give the same bytes.
+Nodes tick in the order of their times, as `agent.runtime.loop.loop` has them tick in real time; rules act on
+processes, clocks and ticks as there. A message arrives `LATENCY_NS` after it was published, about what a
+loopback link takes. The same fleet file and seed give the same bytes.
 
 Times are true time, the operator's. A robot's clock may be wrong on purpose
-(`agent.common.time.LocalTime`): its nodes get the time that it shows.
-
-The bodies of a fleet in virtual time: simulated ones, and what stands for vehicles.
+(`agent.common.time.LocalTime`): its nodes get the time that it shows. Simulated rovers stand for vehicles.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Oracles: what must hold in every run, whatever happens, and what of it did not.
+"""Oracles: rules that must hold in every run, and the violations found in a recording.
 
-An oracle looks at a whole recording and gives each violation of its rule. One that has nothing to look at
-(no obstacle, no process that was killed) does not apply: None.
-
-Oracles of reactions: to processes that die, to stops, and to what operators say.
+An oracle returns a violation for each time that its rule was broken, or None if it does not apply (no
+obstacle, no process that was killed). The oracles of reactions to dead processes, stops and operators'
+orders are here; the others are in `oracles_distance` and `oracles_drive`.
 """
 
 from __future__ import annotations
