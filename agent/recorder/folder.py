@@ -13,7 +13,9 @@ import re
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
+
+from handfast.agent.common.closing import Closing
 
 FILE_BYTES: Final = 8_000_000
 """Size at which a file is full."""
@@ -51,7 +53,7 @@ def number_of(path: Path) -> int | None:
     return int(match[1]) if match else None
 
 
-class RecordingFolder:
+class RecordingFolder(Closing):
     """Appends data to the newest file of a folder. A context manager that keeps other recorders out.
 
     Args:
@@ -81,12 +83,6 @@ class RecordingFolder:
             raise FolderInUseError(f"{path}: another process is recording there") from None
         with suppress(PermissionError):
             _sync_folder(path.parent)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the newest file and unlock the folder."""

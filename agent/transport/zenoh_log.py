@@ -11,9 +11,9 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from types import TracebackType
 from typing import Final, TextIO
 
+from handfast.agent.common.closing import Closing
 from handfast.agent.security.refusals import Refusals
 
 READ_MAX: Final = 131_072
@@ -27,7 +27,7 @@ WANTED: Final = "RUST_LOG"
 _STDOUT: Final = 1
 
 
-class ZenohLog:
+class ZenohLog(Closing):
     """Takes file descriptor 1 from the process while it is open; Python's own standard output goes on.
 
     Make it before the first session, and give Zenoh `agent.security.refusals.FILTER`. Of several in
@@ -52,14 +52,6 @@ class ZenohLog:
         self._file = _memory_file()
         fcntl.fcntl(self._file, fcntl.F_SETFL, fcntl.fcntl(self._file, fcntl.F_GETFL) | os.O_APPEND)
         os.dup2(self._file, _STDOUT)
-
-    def __enter__(self) -> ZenohLog:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Gives standard output back; safe to call twice. Sessions must be closed before."""

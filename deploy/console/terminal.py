@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import termios
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Self, TextIO
 
 from rich.console import Console, RenderableType
@@ -37,9 +36,7 @@ class TerminalView:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(*GONE):
             last = self._last()
             if last is not None:

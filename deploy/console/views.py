@@ -7,7 +7,6 @@ an output that cannot be written to any more, as a pipe whose reader is gone, is
 from __future__ import annotations
 
 from contextlib import suppress
-from types import TracebackType
 from typing import Final, Protocol, Self, TextIO
 
 from handfast.agent.common.wording import printable
@@ -20,9 +19,7 @@ class Speaker(Protocol):
     """Where lines are shown. A context manager; nothing here raises."""
 
     def __enter__(self) -> Self: ...
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
     def say(self, text: str) -> None:
         """One line that stays."""
         ...
@@ -37,9 +34,7 @@ class LinesView:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
     def say(self, text: str) -> None:

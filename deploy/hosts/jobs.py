@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Final, Protocol, TextIO
 
 from rich.console import Group
@@ -200,9 +199,7 @@ class HostJobs:
             self._pool.submit(self._run, host)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
         self._pool.shutdown(cancel_futures=True)
         for row in self.rows.values():

@@ -16,9 +16,9 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
+from handfast.agent.common.closing import Closing
 from handfast.agent.security import private_files
 from handfast.agent.security.certificates import (
     DAY_S,
@@ -176,7 +176,7 @@ class Issued:
         return (self.not_after_s - now_s) / DAY_S
 
 
-class Authority:
+class Authority(Closing):
     """The authority of one fleet, held for one command at a time: a context manager. Threads may share it.
 
     Args:
@@ -218,14 +218,6 @@ class Authority:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Authority:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Lets others use it; safe to call twice."""

@@ -18,9 +18,9 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
+from handfast.agent.common.closing import Closing
 from handfast.agent.common.time import NS_PER_S
 from handfast.agent.common.wording import printable
 from handfast.agent.fleet.hosts import HostSection
@@ -55,7 +55,7 @@ class Running:
         return f"{self.name} ({printable(self.folder)}, since {self.started[11:]})"
 
 
-class Registration:
+class Registration(Closing):
     """Makes a run known while it lives. A context manager.
 
     Args:
@@ -90,14 +90,6 @@ class Registration:
         fcntl.flock(self._handle, fcntl.LOCK_EX)
         os.write(self._handle, json.dumps(asdict(about)).encode())
         hidden.rename(self._path)
-
-    def __enter__(self) -> Registration:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """The run is over."""

@@ -26,9 +26,9 @@ from functools import partial
 from importlib import import_module, invalidate_caches
 from multiprocessing import forkserver, process, reduction, resource_tracker
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
+from handfast.agent.common.closing import Closing
 from handfast.agent.fleet.plants import KINDS
 from handfast.agent.runtime import preloaded
 from handfast.deploy.processes import attributes
@@ -133,7 +133,7 @@ class _Server(forkserver.ForkServer):
             super().ensure_running()
 
 
-class ForkServer:
+class ForkServer(Closing):
     """A fork server of this process's own. A context manager: at its end the server ends, and with it all
     that it has forked.
 
@@ -151,14 +151,6 @@ class ForkServer:
         """Pipes that processes close when they have started, and the time until which that is waited for."""
         self._is_ready = False
         self._is_closed = not hasattr(os, "pidfd_open")
-
-    def __enter__(self) -> ForkServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def pid(self) -> int | None:

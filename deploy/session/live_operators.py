@@ -18,6 +18,7 @@ from typing import Final, Protocol
 
 import msgpack
 
+from handfast.agent.common.closing import Closing
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode, encode
@@ -67,7 +68,7 @@ def _socket() -> socket.socket:
     return made
 
 
-class StopDoor:
+class StopDoor(Closing):
     """Where a command that has links to `fleet` takes stops from other commands of this user, and passes them
     on over `bus`. A context manager. Without a private folder there is none.
     """
@@ -93,12 +94,6 @@ class StopDoor:
             path.unlink(missing_ok=True)  # of a process of the same number that was killed
             self._socket.bind(str(path))
             self._path = path
-
-    def __enter__(self) -> StopDoor:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Takes none any more."""

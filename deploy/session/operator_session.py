@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Final
 
 from handfast.agent.common.wording import printable
@@ -59,11 +58,9 @@ class OperatorSession(Session):
         for key in (key_expressions.status(name, "*"), key_expressions.relayed(name, "*"), *orders):
             self.bus.subscribe(key, INBOX)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.own.warn()
-        super().__exit__(kind, error, trace)
+        super().__exit__(*error)
 
     def feed(self, key: str, message: Message) -> None:
         if (order := self.operator.hear_at(self.now_ns(), key, message)) is not None:

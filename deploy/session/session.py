@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Final, TypeVar
 
+from handfast.agent.common.closing import Closing
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.messages import key_expressions
 from handfast.agent.messages.codec import decode
@@ -41,7 +41,7 @@ def always() -> bool:
     return True
 
 
-class Session:
+class Session(Closing):
     """An operator on the bus of `fleet`, connected to every agent and plant. A context manager.
 
     Args:
@@ -64,14 +64,6 @@ class Session:
         self.alive: set[Receiver] = set()
         self.bus: Final = operator_bus(fleet, is_wanted=is_wanted) if bus is None else bus
         self._presence = self.bus.watch(key_expressions.alive(fleet.fleet.name, "*", "*"))
-
-    def __enter__(self: S) -> S:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         self.bus.close()

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from types import ModuleType, TracebackType
+from types import ModuleType
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from handfast.agent.common.errors import Error
@@ -87,9 +87,7 @@ class Engine(Protocol[Result]):
 
     def __enter__(self) -> Engine[Result]: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
     def results(self, runs: Iterable[int], go_on: GoOn) -> Iterator[Result]:
         """What came of `runs`, in whatever order they end, until all are done or `go_on` says no.
@@ -211,9 +209,7 @@ class Pool(Generic[T]):
     def __enter__(self) -> Pool[T]:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for worker in list(self._workers):
             self._end(worker)
 

@@ -18,7 +18,6 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import distributed
@@ -103,9 +102,7 @@ class Cluster(Generic[T]):
             raise ClusterError(f"the workers of {self._address} cannot be used: {_line(error)}") from None
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(Exception):  # the scheduler may be gone
             self._ask(self._client.scheduler.unregister_worker_plugin, CLOSE_S, name=self._name)
         with suppress(Exception):

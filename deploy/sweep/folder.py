@@ -16,11 +16,11 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
 import tomli_w
 
+from handfast.agent.common.closing import Closing
 from handfast.agent.common.wording import printable
 from handfast.agent.runtime.version import handfast_version
 from handfast.deploy.recording.run_files import FLEET_FILE, must_have_a_name
@@ -37,7 +37,7 @@ NEW: Final = ".new"
 _WORDS: Final = {"true": True, "false": False, "": None}
 
 
-class SweepFolder:
+class SweepFolder(Closing):
     """The folder of one sweep, held by one process at a time. A context manager.
 
     Args:
@@ -63,7 +63,7 @@ class SweepFolder:
                 self._claim(question, sources)
                 self._read()
                 self._keep_to(sources)
-                self._stream = open(self._results, "ab", buffering=0)  # noqa: SIM115 (until __exit__)
+                self._stream = open(self._results, "ab", buffering=0)  # noqa: SIM115 (until close)
             except BaseException:
                 os.close(self._lock)
                 raise
@@ -72,12 +72,7 @@ class SweepFolder:
         except OSError as error:
             raise SweepError(f"cannot write the sweep's folder {path}: {error.strerror or error}") from None
 
-    def __enter__(self) -> SweepFolder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self._stream.close()
         os.close(self._lock)
 
