@@ -10,7 +10,6 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import ModuleType
 from typing import IO, Any, Final, NamedTuple
 
 from handfast.agent.common.wording import printable
@@ -89,7 +88,6 @@ class HostConnection:
         self.host: Final = host
         self._answer_bytes = ANSWER_BYTES + robots * ROBOT_BYTES
         self._about: dict[str, Any] | None = None
-        self._modules: set[str] = set()
         self._said = ""
         try:
             self._process = subprocess.Popen(
@@ -197,14 +195,6 @@ class HostConnection:
         if "error" in answer:
             raise HostError(printable(str(answer["error"])[:ERROR_MAX]))
         return answer.get("ok"), data
-
-    def extend(self, module: ModuleType) -> None:
-        """From now on the host answers the requests of another of our modules, too, which imports nothing but
-        the standard library and `deploy.hosts.remote_program`. Raises as `ask`."""
-        assert module.__file__ is not None
-        if module.__name__ not in self._modules:
-            self.exchange("also", Path(module.__file__).read_bytes(), module=module.__name__)
-            self._modules.add(module.__name__)
 
     def clock(self) -> Clock:
         """How the host's clock stands to this one: from the quickest of a few questions."""

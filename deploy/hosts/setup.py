@@ -16,7 +16,7 @@ from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.model import Fleet
 from handfast.agent.fleet.plants import MavlinkSection
 from handfast.agent.fleet.sections import CLOCK_SKEW_MAX_S
-from handfast.deploy.hosts import remote_vehicle, systemd_units
+from handfast.deploy.hosts import systemd_units
 from handfast.deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for
 from handfast.deploy.hosts.connection import Clock, HostConnection, HostError
 from handfast.deploy.inventory.hosts import robots_on
@@ -37,7 +37,6 @@ def port_warnings(connection: HostConnection, fleet: Fleet) -> list[str]:
             wanted[robot] = str(section.connection)
     if not wanted:
         return []
-    connection.extend(remote_vehicle)
     found = connection.ask("ports", paths=sorted(set(wanted.values())))
     user = printable(str(connection.about["user"]))
     try:
@@ -51,7 +50,7 @@ def port_warnings(connection: HostConnection, fleet: Fleet) -> list[str]:
 
 
 def _sentences(found: Mapping[str, Any], user: str) -> Iterator[str]:
-    """What to say of one port (`deploy.hosts.remote_vehicle.port`)."""
+    """What to say of one port (`deploy.hosts.remote_program.port`)."""
 
     def said(what: str) -> str:
         return printable(str(found[what])[:TEXT_MAX])

@@ -10,7 +10,6 @@ import tomli_w
 from handfast.agent.fleet.hosts import HostSection
 from handfast.agent.fleet.loading import parse_fleet
 from handfast.agent.fleet.model import Fleet
-from handfast.deploy.hosts import remote_vehicle
 from handfast.deploy.hosts.connection import HostError
 from handfast.deploy.hosts.setup import port_warnings
 from tests.unit.deploy.hosts.test_preflight import tables
@@ -23,9 +22,6 @@ class Host:
         self.host, self.about = HostSection("rover1"), {"user": "pi"}
         self.told = told
         self.asked: list[Any] = []
-
-    def extend(self, module: object) -> None:
-        assert module is remote_vehicle
 
     def ask(self, what: str, **arguments: Any) -> Any:
         self.asked.append((what, arguments))

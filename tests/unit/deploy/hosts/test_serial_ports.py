@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from handfast.agent.fleet.hosts import HostSection
-from handfast.deploy.hosts import remote_vehicle
-from handfast.deploy.hosts.connection import HostConnection, HostError
-from handfast.deploy.hosts.remote_vehicle import manager_groups, port
+from handfast.deploy.hosts.connection import HostConnection
+from handfast.deploy.hosts.remote_program import group_name, manager_groups, port
 from tests.unit.deploy.hosts.test_remote_program import home as home
 
 
@@ -39,7 +38,7 @@ def test_one_that_this_user_may_not_open(
     os.chmod(terminal, 0o600)
     assert port(terminal, proc=str(tmp_path)) == {"denied": ""}
     os.chmod(terminal, 0o660)
-    group = remote_vehicle.group_name(os.stat(terminal).st_gid)
+    group = group_name(os.stat(terminal).st_gid)
     assert port(terminal, proc=str(tmp_path)) == {"denied": group}
 
 
@@ -56,7 +55,7 @@ def test_units_have_the_groups_of_when_the_users_systemd_began(
     monkeypatch.setattr(os, "getuid", lambda: uid + 1000)
     assert port(terminal, proc=str(tmp_path)) == {}, "somebody else's systemd"
     os.chown(tmp_path / "20", uid + 1000, -1)
-    assert port(terminal, proc=str(tmp_path)) == {"late": remote_vehicle.group_name(group)}
+    assert port(terminal, proc=str(tmp_path)) == {"late": group_name(group)}
     (tmp_path / "20/status").write_text(f"Gid:\t7\nGroups:\t{group}\n")
     assert port(terminal, proc=str(tmp_path)) == {}
 
@@ -64,8 +63,4 @@ def test_units_have_the_groups_of_when_the_users_systemd_began(
 @pytest.mark.usefixtures("home")
 def test_it_needs_nothing_installed(terminal: str) -> None:
     with HostConnection(HostSection("rover1", "10.0.0.1")) as host:
-        with pytest.raises(HostError, match="KeyError"):
-            host.ask("ports", paths=[terminal])
-        host.extend(remote_vehicle)
-        host.extend(remote_vehicle)
         assert host.ask("ports", paths=[terminal]) == {terminal: {}}
