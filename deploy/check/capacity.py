@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import floor
 from typing import Final, NamedTuple
 
 from handfast.agent.common.compiled import COMPILED
-from handfast.agent.control.limits import barrier_rate, speed_max
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.check.check import check
 from handfast.deploy.check.finding import Finding
@@ -39,20 +37,14 @@ PLANT_COMPILED: Final = 0.85
 RUN_COMPILED: Final = 0.87
 """Of these, what each takes where it is compiled (`make compiled`)."""
 FULL: Final = 0.7
-"""So large a share of a machine may be used: robots all do their rounds at the same time, and starting them
-takes more than driving. What is nearly as much slows down at times (`agent.supervision.overload`)."""
-SPREAD: Final = 1.15
-"""A machine that others use, too, is measured as so many times as fast now as a minute later, at most: 1.09
-were found within 23 minutes (`deploy.processes.machine`). What is said to fit leaves room for that: else
-`handfast run` would refuse a rate that `handfast check` has just proposed."""
-ROOMY: Final = FULL / SPREAD
-"""What takes a smaller share of a machine than this is not refused a minute later."""
+"""Largest share of a machine that a fleet may use: all robots tick at the same time, and starting them takes
+more than driving."""
+ROOMY: Final = 0.6
+"""Largest share that is proposed. It is below `FULL`, as a machine with other tenants is measured up to 1.09
+times slower some minutes later: `handfast run` must not refuse what `handfast check` has just proposed."""
 TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
 TIMEOUT_PERIODS: Final = 3.0
-"""Fields of `[control]` that must be at least two periods; with so many one lost message is nothing."""
-SPEED: Final = "max_speed_mps"
-LOWEST: Final = "rate_min_hz"
-"""Fields of `[control]` that are lower at a lower rate."""
+"""Minimum number of periods in these fields of `[control]` at a proposed rate: a lost message is harmless."""
 RATES_HZ: Final = (50.0, 40.0, 30.0, 25.0, 20.0, 15.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.0)
 """Rates that are proposed."""
 
@@ -120,13 +112,8 @@ def is_looked_at(fleet: Fleet) -> bool:
 
 
 def is_refused(fleet: Fleet, machine: Machine) -> bool:
-    """Whether a machine carries no such fleet, as it was measured just now."""
-    return _takes(fleet, machine) > FULL
-
-
-def _takes(fleet: Fleet, machine: Machine) -> float:
-    """The share that counts: 0 of those that are not looked at."""
-    return used(cost_of(fleet), machine) if is_looked_at(fleet) else 0.0
+    """Return True if a machine, as it was measured just now, does not carry a fleet."""
+    return is_looked_at(fleet) and used(cost_of(fleet), machine) > FULL
 
 
 def carried(fleet: Fleet, machine: Machine) -> int:
@@ -141,40 +128,27 @@ def carried(fleet: Fleet, machine: Machine) -> int:
     return least
 
 
-def slower(fleet: Fleet, rate_hz: float) -> Fleet:
-    """`fleet` at a lower rate, with timeouts that suit it, with a lowest rate that is no higher, and with a
-    speed limit from which robots brake in as short a way as before: else they would have to listen to each
-    other from further away."""
+def slower(fleet: Fleet, rate_hz: float) -> tuple[Fleet, list[str]]:
+    """Return the fleet at a lower rate, with timeouts and a lowest rate that suit it; and the changes, as
+    ``--set`` takes them."""
     control = fleet.control
-    least_s = TIMEOUT_PERIODS / rate_hz
-    changes = {name: max(getattr(control, name), least_s) for name in TIMEOUTS}
+    changes = {name: max(getattr(control, name), TIMEOUT_PERIODS / rate_hz) for name in TIMEOUTS}
     if control.rate_min_hz is not None:
-        changes[LOWEST] = min(control.rate_min_hz, rate_hz)
+        changes["rate_min_hz"] = min(control.rate_min_hz, rate_hz)
     found = replace(fleet, fleet=replace(fleet.fleet, rate_hz=rate_hz), control=replace(control, **changes))
-    later = barrier_rate(found) / barrier_rate(fleet)
-    if fleet.avoidance.enabled and later < 1.0:
-        changes[SPEED] = floor(100.0 * later * speed_max(fleet)) / 100.0
-    return replace(found, control=replace(control, **changes))
+    told = [f"control.{name}={value:g}" for name, value in changes.items() if value != getattr(control, name)]
+    return found, [f"fleet.rate_hz={rate_hz:g}", *told]
 
 
-def that_fits(fleet: Fleet, machine: Machine) -> Fleet | None:
-    """`fleet` at the highest of the usual rates, below its own, at which the machine carries it whenever it
-    is measured; None where there is none, or `check` finds errors there."""
+def that_fits(fleet: Fleet, machine: Machine) -> tuple[Fleet, list[str]] | None:
+    """Return `slower` for the highest of the usual rates, below the fleet's own, at which the machine carries
+    the fleet; None if there is none, or `check` finds errors at that rate."""
     for rate_hz in RATES_HZ:
         if rate_hz < fleet.fleet.rate_hz:
-            found = slower(fleet, rate_hz)
+            found, changes = slower(fleet, rate_hz)
             if used(cost_of(found), machine) <= ROOMY:
-                return None if any(finding.level == "error" for finding in check(found)) else found
+                return None if any(each.level == "error" for each in check(found)) else (found, changes)
     return None
-
-
-def settings(fleet: Fleet, found: Fleet) -> list[str]:
-    """What makes `found`, which `slower` has made of `fleet`, of it: for ``--set``."""
-    changes = [f"fleet.rate_hz={found.fleet.rate_hz:g}"]
-    for name in (LOWEST, SPEED, *TIMEOUTS):
-        if getattr(found.control, name) != getattr(fleet.control, name):
-            changes.append(f"control.{name}={getattr(found.control, name):g}")
-    return changes
 
 
 def describe_cost(fleet: Fleet) -> str:
@@ -189,29 +163,19 @@ def describe_cost(fleet: Fleet) -> str:
 def describe_capacity(fleet: Fleet, machine: Machine) -> str:
     """How many robots like these a machine carries, in a sentence without its end."""
     count, cores = carried(fleet, machine), f"{machine.cores:g} core{'s' * (machine.cores != 1)}"
-    text = f"this machine ({cores}) carries about {count} robots like these at {fleet.fleet.rate_hz:g} Hz"
-    return f"{text}; {len(fleet.robots)} may be slowed down at times" if _is_tight(fleet, machine) else text
+    return f"this machine ({cores}) carries about {count} robots like these at {fleet.fleet.rate_hz:g} Hz"
 
 
 def overload(fleet: Fleet, machine: Machine) -> str:
-    """Why a machine does not carry `fleet`, and what would fit, as a sentence without its end; "" where it
-    does."""
-    return _too_much(fleet, machine) if is_refused(fleet, machine) else ""
-
-
-def _is_tight(fleet: Fleet, machine: Machine) -> bool:
-    """Whether the machine carries `fleet`, but may not when it is measured again."""
-    return ROOMY < _takes(fleet, machine) <= FULL
-
-
-def _too_much(fleet: Fleet, machine: Machine) -> str:
+    """Return why a machine does not carry a fleet, and what would fit, as a sentence without its end; "" if
+    it does."""
+    if not is_refused(fleet, machine):
+        return ""
     n, needs = len(fleet.robots), cost_of(fleet).whole / machine.speed
-    found = that_fits(fleet, machine)
-    if found is None:
-        advice = "drive fewer, on a larger machine or in virtual time (`handfast simulate`)"
-    else:
-        words = " ".join(f"--set {change}" for change in settings(fleet, found))
-        advice = f"all {n} fit at {found.fleet.rate_hz:g} Hz: {words}"
+    advice = "drive fewer, on a larger machine or in virtual time (`handfast simulate`)"
+    if fitting := that_fits(fleet, machine):
+        found, changes = fitting
+        advice = f"all {n} fit at {found.fleet.rate_hz:g} Hz: --set {' --set '.join(changes)}"
     return (
         f"{n} robots at {fleet.fleet.rate_hz:g} Hz need about {needs:.2g} cores, and "
         f"{describe_capacity(fleet, machine)}; {advice}"
@@ -219,18 +183,11 @@ def _too_much(fleet: Fleet, machine: Machine) -> str:
 
 
 def check_capacity(fleet: Fleet, machine: Machine) -> Iterator[Finding]:
-    """Warns of a fleet that this machine does not carry with `handfast run`, or may not, says how many it
-    does."""
-    if not is_looked_at(fleet):
-        return
-    place = "fleet.rate_hz"
-    if is_refused(fleet, machine):
-        yield Finding("warning", place, f"`handfast run` refuses it here: {_too_much(fleet, machine)}")
-    elif _is_tight(fleet, machine):
-        text = "`handfast run` may refuse it here, where others use this machine, too"
-        yield Finding("warning", place, f"{text}: {_too_much(fleet, machine)}")
-    else:
-        yield Finding("info", place, describe_capacity(fleet, machine))
+    """Warn if `handfast run` would refuse the fleet on this machine; else say how many robots it carries."""
+    if text := overload(fleet, machine):
+        yield Finding("warning", "fleet.rate_hz", f"`handfast run` refuses it here: {text}")
+    elif is_looked_at(fleet):
+        yield Finding("info", "fleet.rate_hz", describe_capacity(fleet, machine))
 
 
 def _percent(cores: float) -> str:
