@@ -117,11 +117,8 @@ class Drive:
                     self._drive()
         finally:
             begun = self._processes.ours or self._fleet_state.epoch_ns is not None
-            try:
-                if begun and not self._is_left:
-                    self._stop()
-            finally:
-                self._fleet_state.close()
+            if begun and not self._is_left:
+                self._stop()
 
     @property
     def end_ns(self) -> int:
@@ -287,7 +284,6 @@ class Drive:
         """Waits a moment, takes what came, does what rules order; False when the run has to end."""
         fleet_state = self._fleet_state
         time.sleep(min(POLL_S, max(0.0, self._until_next_s())))
-        fleet_state.pass_on()
         fleet_state.collect()
         news = self._watch.news(fleet_state.time_s)
         if fleet_state.epoch_ns is None and not self._processes.ours:

@@ -36,7 +36,6 @@ from handfast.deploy.orders.operator import HEARD_NS, Operator, Order
 from handfast.deploy.processes.child import FleetProcesses
 from handfast.deploy.recording.run_files import RecordingError
 from handfast.deploy.session.faults import author
-from handfast.deploy.session.live_operators import StopDoor
 from handfast.deploy.session.session import valid
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
@@ -98,7 +97,6 @@ class FleetState:
         self._heard_ns: dict[int, int] = {}
         """When each agent was heard last."""
         self._again_due_ns = self._ask_due_ns = 0
-        self._stop_door = StopDoor(fleet, bus)
         name = fleet.fleet.name
         for key in self.operator.keys.values():
             bus.declare(key)
@@ -130,7 +128,6 @@ class FleetState:
             is_fresh = True
 
     def _take(self, now_ns: int, key: str, payload: bytes) -> None:
-        self._stop_door.heard(key, payload)
         message = self.record(now_ns, key, payload)
         kind = type(message)
         if message is None or kind in _ONLY_RECORDED:
@@ -200,15 +197,6 @@ class FleetState:
         """Where a robot's body was seen last."""
         seen = self._truths.get(robot) or self.states.get(robot)
         return None if seen is None else Pose(seen.x, seen.y, seen.heading, seen.speed, seen.yaw_rate)
-
-    def pass_on(self) -> None:
-        """Passes on a stop of another command on this machine, over the links that there are here."""
-        for stop in self._stop_door.step():
-            self.operator.hear(self.operator.keys[Stop], stop)
-
-    def close(self) -> None:
-        """Takes no stops of other commands any more."""
-        self._stop_door.close()
 
     # ------------------------------------------------------------------ what is said
 

@@ -83,7 +83,6 @@ class Standstill:
             if now >= deadline and not any(way.busy for way in ways):
                 break
             self._collect()
-            fleet_state.pass_on()
             late = now >= begun + LATE_S
             if not asked_ways and (self._hurried or (late and not self._all_acknowledged(waiting, stop))):
                 asked_ways, ways = True, self._sent_by_ways(stop)

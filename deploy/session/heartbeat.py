@@ -12,8 +12,7 @@ from handfast.deploy.console.interrupt import Interrupt
 from handfast.deploy.console.wording import robots
 from handfast.deploy.orders.operator import HEARTBEAT_PERIOD_NS
 from handfast.deploy.session.faults import Line, author
-from handfast.deploy.session.live_operators import StopDoor
-from handfast.deploy.session.session import INBOX, Session, connected
+from handfast.deploy.session.session import Session, connected
 
 PERIOD_S: Final = HEARTBEAT_PERIOD_NS / 1e9
 
@@ -30,26 +29,6 @@ class HeartbeatSession(Session):
         self._author = author()
         self._key = key_expressions.heartbeat(fleet.fleet.name)
         self.bus.declare(self._key)
-        self.bus.declare(key_expressions.stop(fleet.fleet.name))
-        self._listens = False
-        self._stop_door = StopDoor(fleet, self.bus)
-
-    def close(self) -> None:
-        self._stop_door.close()
-        super().close()
-
-    def came(self, key: str, payload: bytes) -> None:
-        self._stop_door.heard(key, payload)
-
-    def _pass_on(self) -> bool:
-        """Passes on stops of other commands; whether there is a new one."""
-        new = self._stop_door.step()
-        if new and not self._listens:  # heartbeats alone need not hear what robots say
-            self._listens = True
-            name = self.fleet.fleet.name
-            for key in (key_expressions.status(name, "*"), key_expressions.plant_state(name, "*")):
-                self.bus.subscribe(key, INBOX)
-        return bool(new)
 
     def beat(self, interrupt: Interrupt, stream: TextIO) -> None:
         """Sends them until interrupted, and says on `stream` who is there to hear them."""
@@ -58,7 +37,7 @@ class HeartbeatSession(Session):
             self.bus.publish(self._key, encode(Heartbeat(self.now_ns(), self._author)))
             heard = hearers(self.fleet, {robot for robot, role in self.alive if role == "agent"})
             line.show(heard, heard)
-            self.wait(lambda: self._pass_on() or interrupt.count > 0, PERIOD_S)
+            self.wait(lambda: interrupt.count > 0, PERIOD_S)
         line.end()
 
 

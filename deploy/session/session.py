@@ -71,9 +71,6 @@ class Session(Closing):
     def now_ns(self) -> int:
         return self.clock.now_ns()
 
-    def came(self, key: str, payload: bytes) -> None:
-        """Takes what came on `key`, before it is known to be a message."""
-
     def feed(self, key: str, message: Message) -> None:
         """Takes a valid message that came on `key`."""
 
@@ -92,7 +89,6 @@ class Session(Closing):
                     self.alive.discard(receiver)
                     self.gone(receiver)
         for key, payload in self.bus.drain():
-            self.came(key, payload)
             message = valid(payload)
             if message is not None:
                 self.feed(key, message)

@@ -1,7 +1,7 @@
 """Stops a running fleet by every way that there is, side by side: the first that works wins.
 
-Over new links, as an operator's session has them; over those that a live operator has (`live_operators`); by
-the disk of the robots' computer, here (`stop_by_file`) or over ssh (`deploy.hosts.stop_by_ssh`).
+The channels are new links, as an operator's session has them, and a file on the robots' computer, written
+here (`stop_by_file`) or over ssh (`deploy.hosts.stop_by_ssh`).
 """
 
 from __future__ import annotations

@@ -62,13 +62,7 @@ class LiveServer:
         self.live.put("controls", [] if self.controls is None else [*self.controls.kinds])
         self._has_ended = False
         files = page_files("live")
-        try:
-            self._server = Server(
-                files, served_policy(), port, self.pages.talk, host=host, names=names, tls=tls
-            )
-        except OSError:
-            self.live.close()
-            raise
+        self._server = Server(files, served_policy(), port, self.pages.talk, host=host, names=names, tls=tls)
         # Behind the "#", where it is not sent to anybody, nor written into a log.
         self.address: Final = f"{self._server.address}#token={token}"
 
@@ -101,7 +95,6 @@ class LiveServer:
             self.pages.take_no_more()
             self.live.put("over", True)
             self.live.number += 1
-            self.live.close()
 
     def show(self, answer: Answer) -> None:
         """From now on pages get this recording, those that are open as well."""

@@ -153,7 +153,6 @@ class LiveFleet:
     def step(self) -> None:
         """Takes what came, and makes the next frame."""
         state = self.fleet_state
-        state.pass_on()
         state.collect()
         self._follow_drive()
         now_ns = state.clock.now_ns()
@@ -325,10 +324,6 @@ class LiveFleet:
         if not self._hears_hands:
             self._hears_hands = True
             self._bus.subscribe(key_expressions.hand(self.fleet.fleet.name, "*"), HANDS_INBOX)
-
-    def close(self) -> None:
-        """Takes nothing more."""
-        self.fleet_state.close()
 
 
 class _NewestBodies:

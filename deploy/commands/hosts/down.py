@@ -68,11 +68,10 @@ def _down(options: argparse.Namespace) -> int:
 def _brake(fleet: Fleet, view: HostsView) -> None:
     """Stops all robots at once, before their processes end one by one."""
     from handfast.agent.transport.bus import BusError
-    from handfast.deploy.session.live_operators import LiveWay
     from handfast.deploy.session.stop import stop
 
     try:
-        stopping, troubles = stop(fleet, _reason(fleet), [LiveWay(fleet)])
+        stopping, troubles = stop(fleet, _reason(fleet), [])
     except NoAnswerError:
         view.say("no robot answers: nothing to stop")
     except (BusError, InputError) as error:  # such as a certificate that is out of date: ssh is another way

@@ -28,10 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast stop`` takes."""
     describe(
         parser,
-        f". {MEANING} It goes by every way there is, side by side: over new links, over those of a drive or "
-        "heartbeat on this machine, and over ssh to the robots' hosts. Robots that cannot be reached now "
-        "stop as soon as another one relays it. Exit status: 0 all agents and plants brake; 1 not all; 2 bad "
-        "input.",
+        f". {MEANING} It uses every channel there is, side by side: links, a file on this machine, ssh "
+        "to the robots' hosts. Robots that cannot be reached now stop as soon as another one relays it. Exit "
+        "status: 0 all agents and plants brake; 1 not all; 2 bad input.",
     )
     parser.add_argument("fleet", metavar="FLEET", nargs="?", help="a fleet that is running")
     parser.add_argument(

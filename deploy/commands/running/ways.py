@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from handfast.agent.fleet.model import Fleet
 from handfast.deploy.processes.placement import orders_folder
-from handfast.deploy.session.live_operators import LiveWay
 from handfast.deploy.session.stop import Way
 from handfast.deploy.session.stop_by_file import FileWay
 
 
 def ways(fleet: Fleet) -> list[Way]:
-    """All there are for `fleet`, located: over links that are open here, by a file here, over ssh."""
-    here: list[Way] = [LiveWay(fleet)]
+    """Return all there are for `fleet` (located): a file here, and ssh."""
     folder = orders_folder(fleet)
-    return [*here, *([FileWay(fleet, folder)] if folder.is_dir() else []), *by_ssh(fleet)]
+    return [*([FileWay(fleet, folder)] if folder.is_dir() else []), *by_ssh(fleet)]
 
 
 def by_ssh(fleet: Fleet) -> list[Way]:

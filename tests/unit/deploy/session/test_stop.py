@@ -215,4 +215,4 @@ def test_who_has_no_certificate_and_reaches_nobody_is_told_so(monkeypatch: pytes
     monkeypatch.setattr(stop_module, "StopSession", fails)
     with pytest.raises(InputError, match="anna"):
         stop(FLEET, "", [Through(frozenset(FLEET.ids))])
-    assert stop(FLEET, "", [Through()])[0].done  # as by a live operator's links
+    assert stop(FLEET, "", [Through()])[0].done

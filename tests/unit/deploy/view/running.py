@@ -100,7 +100,7 @@ class Running:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.live.close()
+        """It holds nothing."""
 
     def step(self, after_ns: int = FRAME) -> None:
         """The next frame."""

@@ -32,8 +32,8 @@ def names(made: list[Way]) -> list[str]:
 
 def test_a_run_here_has_a_file_and_one_elsewhere_has_ssh() -> None:
     here, elsewhere = square(), parse_fleet(HOSTS, source="here")
-    assert names(ways(here)) == ["LiveWay"]
+    assert names(ways(here)) == []
     private_directory(orders_folder(here))
-    assert names(ways(here)) == ["LiveWay", "FileWay"]
-    assert names(ways(elsewhere)) == ["LiveWay", "SshWay"]
+    assert names(ways(here)) == ["FileWay"]
+    assert names(ways(elsewhere)) == ["SshWay"]
     assert by_ssh(here) == []
